@@ -1,0 +1,43 @@
+# Everything runs in .venv, which is made on first use and brought up to date when pyproject.toml or
+# constraints.txt changes. `make` alone lists the targets.
+
+PYTHON ?= python3
+VENV ?= .venv
+ARGS ?=
+
+RUN = $(VENV)/bin/python -m
+STAMP = $(VENV)/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help demo train test lint format clean
+
+help: ## list the targets
+	@echo "usage: make TARGET [ARGS='...'] [PYTHON=python3.11]"
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  \1\t\2/p' $(firstword $(MAKEFILE_LIST))
+
+demo: $(STAMP) ## drive one robot through several preferences, and film it
+	@$(RUN) recipes.demo $(ARGS)
+
+train: $(STAMP) ## train the preference-conditioned policy, ARGS="key=value ..." overrides its YAML
+	@$(RUN) recipes.pd_morl.pd_morl $(ARGS)
+
+test: $(STAMP) ## run the tests and the docstring examples, ARGS="-m slow" for the long ones
+	@OMP_NUM_THREADS=1 $(RUN) pytest -q $(ARGS)
+
+lint: $(STAMP) ## check style and formatting
+	@$(RUN) ruff check .
+	@$(RUN) ruff format --check .
+
+format: $(STAMP) ## repair style and formatting
+	@$(RUN) ruff check --fix .
+	@$(RUN) ruff format .
+
+clean: ## remove .venv and caches; runs/ stays
+	rm -rf .venv .pytest_cache .ruff_cache build dist *.egg-info
+	find torchrl_morl envs recipes tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+
+ifneq ($(shell test -x $(VENV)/bin/python && echo works),works)
+.PHONY: $(STAMP)
+endif
+$(STAMP): pyproject.toml constraints.txt tools/bootstrap.sh
+	@sh tools/bootstrap.sh "$(PYTHON)" "$(VENV)"

@@ -1,0 +1,37 @@
+"""Simulation: batched MuJoCo environments, the navigation task, its scenes and robots."""
+
+from .batched_mujoco import BatchedMujocoEnv, PhysicsState
+from .navigation import NavigationEnv, Perturbation
+from .robots import HSR, ROBOTS, TURTLEBOT2, Robot, get_robot
+from .scenes import (
+    CORRIDOR,
+    EMPTY,
+    HUMAN_RADIUS,
+    MOVING_HUMAN,
+    SCENES,
+    SHOWCASE,
+    STATIC,
+    Scene,
+    get_scene,
+)
+
+__all__ = [
+    "CORRIDOR",
+    "EMPTY",
+    "HSR",
+    "HUMAN_RADIUS",
+    "MOVING_HUMAN",
+    "ROBOTS",
+    "SCENES",
+    "SHOWCASE",
+    "STATIC",
+    "TURTLEBOT2",
+    "BatchedMujocoEnv",
+    "NavigationEnv",
+    "Perturbation",
+    "PhysicsState",
+    "Robot",
+    "Scene",
+    "get_robot",
+    "get_scene",
+]

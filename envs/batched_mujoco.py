@@ -1,0 +1,329 @@
+"""Many MuJoCo simulations as one TorchRL environment."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, ClassVar, NamedTuple
+
+import mujoco
+import numpy as np
+import torch
+from mujoco.batch import Batch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from .pixels import PixelsMixin
+from .rendering import Camera
+
+
+class PhysicsState(NamedTuple):
+    """Simulator state of every environment: float64 tensors on the CPU."""
+
+    qpos: Tensor
+    """``[num_envs, nq]``"""
+    qvel: Tensor
+    """``[num_envs, nv]``"""
+
+
+class BatchedMujocoEnv(PixelsMixin, EnvBase):
+    """Base class of batched MuJoCo environments over :class:`mujoco.batch.Batch`.
+
+    One instance holds ``num_envs`` simulations and has batch size ``(num_envs,)``. A step is one
+    native call for the physics of all of them, on a thread pool; results are bit-equal to a loop
+    over ``mj_step`` whatever the number of threads. The hooks carry the names of TorchRL's
+    :class:`~torchrl.envs.MujocoEnv`, which runs one process per simulation with the C backend.
+
+    ``qpos``, ``qvel``, ``qacc_warmstart`` and ``elapsed`` are both observed and part of the
+    ``state_spec``, so any row of a rollout is a snapshot: ``env.reset(row, set_state=True)``
+    continues from it bit for bit, through :class:`~torchrl.envs.TransformedEnv` too.
+
+    Subclasses implement :meth:`_make_model`, :meth:`_sample_initial_state`,
+    :meth:`_make_obs_spec`, :meth:`_make_obs`, :meth:`_make_action_spec`,
+    :meth:`_make_reward_spec`, :meth:`_compute_terminated` and :meth:`_compute_reward`, and may
+    override :meth:`_prepare_ctrl`, :meth:`_on_reset` and :meth:`_before_physics`.
+
+    Keyword Args:
+        num_envs: number of simulations, at least 1.
+        num_threads: native threads; 0 uses every CPU.
+        frame_skip: physics steps in a control step; defaults to :attr:`FRAME_SKIP`.
+        max_episode_steps: control steps after which an episode is truncated.
+        seed: seed of every random draw of the environment; random if ``None``.
+        device: where observations, rewards and flags go. The physics stays on the CPU.
+        dtype: floating-point type of observations, actions and rewards.
+        snapshots: observe the simulator's state too, as above; without it a transition is smaller
+            and ``set_state=True`` is refused.
+        from_pixels: observe ``pixels`` too, uint8 ``[num_envs, render_height, render_width, 3]``.
+        render_width: width of pictures, pixels.
+        render_height: height of pictures, pixels.
+        camera: a :class:`envs.Camera`, the name of a camera of the model, or ``"overview"``.
+
+    Raises:
+        ValueError: for ``num_envs``, ``frame_skip``, ``max_episode_steps``, ``render_width`` or
+            ``render_height`` below 1, or a negative ``num_threads``.
+    """
+
+    FRAME_SKIP: ClassVar[int] = 5
+
+    batch_locked = True
+    # The physics steps of a control step are taken in _step, not by repeating it.
+    _has_frame_skip = True
+    _snapshot_fields: ClassVar[tuple[str, ...]] = ("qpos", "qvel", "qacc_warmstart")
+
+    def __init__(
+        self,
+        *,
+        num_envs: int = 1,
+        num_threads: int = 0,
+        frame_skip: int | None = None,
+        max_episode_steps: int = 1000,
+        seed: int | None = None,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype = torch.float32,
+        snapshots: bool = True,
+        from_pixels: bool = False,
+        render_width: int = 640,
+        render_height: int = 360,
+        camera: str | Camera = "overview",
+    ) -> None:
+        frame_skip = self.FRAME_SKIP if frame_skip is None else frame_skip
+        for name, value in (
+            ("num_envs", num_envs),
+            ("frame_skip", frame_skip),
+            ("max_episode_steps", max_episode_steps),
+        ):
+            if value < 1:
+                raise ValueError(f"{name} must be at least 1, got {value}.")
+        if num_threads < 0:
+            raise ValueError(f"num_threads must be 0 (every CPU) or more, got {num_threads}.")
+        super().__init__(device=device, batch_size=torch.Size([num_envs]))
+        self.num_envs = num_envs
+        self.num_threads = num_threads
+        self.frame_skip = frame_skip
+        self.max_episode_steps = max_episode_steps
+        self.dtype = dtype
+        self.snapshots = snapshots
+        self._init_pixels(from_pixels, render_width, render_height, camera)
+        self.model = self._make_model()
+        self._open_batch()
+        self._elapsed = torch.zeros(num_envs, 1, dtype=torch.int64)
+        self.rng = torch.Generator()
+        # torch.seed() would reseed the caller's global generator.
+        self.set_seed(self.rng.seed() % 2**31 if seed is None else seed)
+        self._make_specs()
+
+    # --- hooks ---------------------------------------------------------------------------------
+
+    @abc.abstractmethod
+    def _make_model(self) -> mujoco.MjModel:
+        """The model that every simulation runs."""
+
+    @abc.abstractmethod
+    def _sample_initial_state(
+        self, ids: Tensor, tensordict: TensorDictBase | None
+    ) -> tuple[Tensor, Tensor]:
+        """Draw ``(qpos [n, nq], qvel [n, nv])`` for the ``n`` environments ``ids`` being reset.
+
+        Whatever else an episode needs (a goal, obstacles) is drawn here too.
+        """
+
+    @abc.abstractmethod
+    def _make_obs_spec(self) -> Composite:
+        """Spec of what :meth:`_make_obs` returns, batch shape ``(num_envs,)``."""
+
+    @abc.abstractmethod
+    def _make_obs(self, ids: Tensor | None = None) -> dict[str, Tensor | TensorDictBase]:
+        """Observations of the environments ``ids`` (``None``: all), leading dimension ``n``."""
+
+    @abc.abstractmethod
+    def _make_action_spec(self) -> Bounded:
+        """Spec of ``action``, shape ``(num_envs, ...)``."""
+
+    @abc.abstractmethod
+    def _make_reward_spec(self) -> Unbounded | Bounded:
+        """Spec of ``reward``, shape ``(num_envs, K)``."""
+
+    @abc.abstractmethod
+    def _compute_terminated(self, state: PhysicsState, next_state: PhysicsState) -> Tensor:
+        """Which episodes end for a reason within the task: bool ``[num_envs, 1]``."""
+
+    @abc.abstractmethod
+    def _compute_reward(
+        self, state: PhysicsState, action: Tensor, next_state: PhysicsState
+    ) -> Tensor:
+        """Reward vectors ``[num_envs, K]``; called after :meth:`_compute_terminated`."""
+
+    def _prepare_ctrl(self, action: Tensor) -> Tensor:
+        """Map actions to the model's controls, ``[num_envs, nu]``."""
+        return action
+
+    def _load_snapshot(self, ids: Tensor, tensordict: TensorDictBase) -> None:
+        """Restore the environments ``ids`` from a snapshot; subclasses add their own keys."""
+        for name in self._snapshot_fields:
+            self._view[name][ids] = tensordict.get(name).cpu()[ids]
+        self._elapsed[ids] = tensordict.get("elapsed").cpu()[ids]
+
+    def _on_reset(self, ids: Tensor) -> None:
+        """Write mocap bodies, geom sizes and the like of the environments ``ids``.
+
+        Called after their state was sampled or restored.
+        """
+
+    def _before_physics(self) -> None:
+        """Called in each step just before the physics, to move mocap bodies."""
+
+    # --- native batch --------------------------------------------------------------------------
+
+    def _open_batch(self) -> None:
+        """Build the native batch and the live views of its state."""
+        self.batch = Batch(self.model, self.num_envs, self.num_threads)
+        self._view = {
+            name: torch.from_numpy(self.batch.bind(name))
+            for name in (*self._snapshot_fields, "ctrl", "mocap_pos", "mocap_quat")
+        }
+
+    def _state(self) -> PhysicsState:
+        return PhysicsState(self._view["qpos"], self._view["qvel"])
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The native batch cannot be pickled: its rows and per-simulation fields travel instead.
+        state = super().__getstate__() if hasattr(super(), "__getstate__") else self.__dict__.copy()
+        state = dict(state)
+        batch = state.pop("batch")
+        state.pop("_view")
+        state.pop("_renderer", None)
+        state["_rows"] = np.array(batch.state)
+        state["_expanded"] = {name: np.array(field) for name, field in batch._expanded.items()}
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        state = dict(state)
+        rows, expanded = state.pop("_rows"), state.pop("_expanded")
+        if hasattr(super(), "__setstate__"):
+            super().__setstate__(state)
+        else:
+            self.__dict__.update(state)
+        self._open_batch()
+        for name, values in expanded.items():
+            self.batch.expand(name)[...] = values
+        if expanded:
+            self.batch.set_const()
+        self.batch.state[...] = rows
+        self.batch.forward()
+
+    # --- EnvBase -------------------------------------------------------------------------------
+
+    @property
+    def _supports_set_state(self) -> bool:
+        return self.snapshots
+
+    def _make_specs(self) -> None:
+        batch = (self.num_envs,)
+        snapshot = Composite(
+            {
+                name: Unbounded(shape=tuple(self._view[name].shape), dtype=torch.float64)
+                for name in self._snapshot_fields
+            },
+            elapsed=Unbounded(shape=(*batch, 1), dtype=torch.int64),
+            shape=batch,
+        )
+        observation = self._make_obs_spec()
+        if self.snapshots:
+            observation.update(snapshot)
+            self.state_spec = self._make_state_spec(snapshot, observation).to(self.device)
+        if self.from_pixels:
+            observation["pixels"] = self._pixels_spec()
+        self.observation_spec = observation.to(self.device)
+        self.action_spec = self._make_action_spec().to(self.device)
+        self.reward_spec = self._make_reward_spec().to(self.device)
+        self.full_done_spec = Composite(
+            {
+                name: Binary(n=1, shape=(*batch, 1), dtype=torch.bool)
+                for name in ("done", "terminated", "truncated")
+            },
+            shape=batch,
+        ).to(self.device)
+
+    def _make_state_spec(self, snapshot: Composite, observation: Composite) -> Composite:
+        """Keys of a snapshot; subclasses add theirs, which must be observations as well."""
+        del observation
+        return snapshot.clone()
+
+    def _observe(self, ids: Tensor | None = None) -> dict[str, Tensor | TensorDictBase]:
+        """Everything observed by the environments ``ids``, as new tensors."""
+        rows = slice(None) if ids is None else ids
+        out = self._make_obs(ids)
+        if self.snapshots:
+            for name in self._snapshot_fields:
+                out[name] = self._view[name][rows].clone()
+            out["elapsed"] = self._elapsed[rows].clone()
+        if self.from_pixels:
+            out["pixels"] = self._observe_pixels(ids)
+        return out
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        if mask is None or bool(mask.all()):
+            ids = torch.arange(self.num_envs)
+        else:
+            ids = mask.reshape(self.num_envs).cpu().nonzero().squeeze(-1)
+        set_state = bool(kwargs.get("set_state")) and tensordict is not None
+        set_state = set_state and all(key in tensordict.keys() for key in ("qpos", "qvel"))
+        self.batch.reset(ids.numpy(), stage=0)
+        if set_state:
+            self._load_snapshot(ids, tensordict)
+        else:
+            qpos, qvel = self._sample_initial_state(ids, tensordict)
+            self._view["qpos"][ids] = qpos
+            self._view["qvel"][ids] = qvel
+            self._elapsed[ids] = 0
+        self._on_reset(ids)
+        rows = self._observe(ids)
+        if ids.numel() == self.num_envs:
+            out = TensorDict(rows, batch_size=self.batch_size)
+        else:
+            # Only the rows being reset are read from the result; the others stay what they were.
+            out = self.observation_spec.zero().to("cpu")
+            if self.from_pixels:
+                # A VideoRecorder does read them: the others keep their last picture.
+                out["pixels"] = self._pixels.clone()
+            out[ids] = TensorDict(rows, batch_size=ids.shape)
+        return out.to(self.device) if self.device is not None else out
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action = tensordict.get(self.action_key).to("cpu")
+        if not torch.isfinite(action).all():
+            row = int((~torch.isfinite(action)).flatten(1).any(-1).nonzero()[0])
+            raise ValueError(
+                f"The action of environment {row} is {action[row].tolist()}: actions must be "
+                "finite. Check the policy's input and weights for NaN."
+            )
+        before = PhysicsState(*(view.clone() for view in self._state()))
+        self._view["ctrl"][...] = self._prepare_ctrl(action)
+        self._before_physics()
+        self.batch.step(nstep=self.frame_skip)
+        self._elapsed += 1
+        after = self._state()
+        terminated = self._compute_terminated(before, after)
+        truncated = (self._elapsed >= self.max_episode_steps) & ~terminated
+        out = TensorDict(
+            {
+                **self._observe(),
+                "reward": self._compute_reward(before, action, after).to(self.dtype),
+                "terminated": terminated,
+                "truncated": truncated,
+                "done": terminated | truncated,
+            },
+            batch_size=self.batch_size,
+        )
+        return out.to(self.device) if self.device is not None else out
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is not None:
+            self.rng.manual_seed(seed)
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Release the graphics memory, if pictures were drawn."""
+        self._close_renderer()
+        super().close(raise_if_closed=raise_if_closed)

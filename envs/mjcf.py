@@ -1,0 +1,185 @@
+"""The MuJoCo model: a robot, a human, a goal marker and boxes, all of primitive geoms.
+
+Collision geoms are in group 0, which is also what the lidar sees; group 1 is decoration. Human,
+goal and boxes are mocap bodies, placed at reset; box sizes are set for each environment.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from .robots import Robot
+from .scenes import HUMAN_RADIUS
+
+HUMAN_HEIGHT = 1.7
+BOX_HEIGHT = 0.6
+LIDAR_HEIGHT = 0.25
+
+Drive = Literal["planar", "wheels"]
+
+_PLANAR = """
+    <body name="robot" pos="0 0 {half_height}">
+      <joint name="x" type="slide" axis="1 0 0"/>
+      <joint name="y" type="slide" axis="0 1 0"/>
+      <joint name="yaw" type="hinge" axis="0 0 1"/>
+      <site name="base"/>
+      <geom name="robot" class="robot" type="cylinder" size="{radius} {half_height}" mass="{mass}"/>
+      {decoration}
+    </body>"""
+
+_PLANAR_ACTUATORS = """
+    <velocity name="forward" site="base" gear="1 0 0 0 0 0" kv="{kv_forward}"/>
+    <velocity name="turn" joint="yaw" kv="{kv_turn}"/>
+    <velocity name="no_slip" site="base" gear="0 1 0 0 0 0" kv="{kv_lateral}"/>"""
+
+# Sphere wheels touch the floor in a point; the contact of a cylinder wanders along its edge and
+# makes the base turn several percent too slowly. The casters slide.
+_WHEELS = """
+    <body name="robot" pos="0 0 0">
+      <freejoint name="base"/>
+      <geom name="robot" class="robot" type="cylinder" pos="0 0 {body_centre}"
+            size="{radius} {body_half_height}" mass="{mass}"/>
+      <geom name="caster_front" class="caster" pos="{caster} 0 {caster_radius}"
+            size="{caster_radius}"/>
+      <geom name="caster_back" class="caster" pos="-{caster} 0 {caster_radius}"
+            size="{caster_radius}"/>
+      <body name="left_wheel" pos="0 {half_track} {wheel_radius}">
+        <joint name="left_wheel" type="hinge" axis="0 1 0"/>
+        <geom class="wheel" size="{wheel_radius}"/>
+      </body>
+      <body name="right_wheel" pos="0 -{half_track} {wheel_radius}">
+        <joint name="right_wheel" type="hinge" axis="0 1 0"/>
+        <geom class="wheel" size="{wheel_radius}"/>
+      </body>
+      {decoration}
+    </body>"""
+
+_WHEELS_ACTUATORS = """
+    <velocity name="left" joint="left_wheel" kv="{kv_wheel}"/>
+    <velocity name="right" joint="right_wheel" kv="{kv_wheel}"/>"""
+
+_WORLD = """
+<mujoco model="navigation">
+  <compiler angle="radian"/>
+  <option timestep="{timestep}" integrator="implicitfast" gravity="0 0 {gravity}"/>
+  <visual>
+    <global offwidth="1920" offheight="1080"/>
+    <quality shadowsize="0" offsamples="0"/>
+    <headlight ambient="0.45 0.45 0.45" diffuse="0.5 0.5 0.5" specular="0 0 0"/>
+    <map znear="0.01" zfar="60"/>
+  </visual>
+  <asset>
+    <texture name="floor" type="2d" builtin="checker" rgb1="0.93 0.93 0.91" rgb2="0.88 0.88 0.86"
+             width="256" height="256"/>
+    <material name="floor" texture="floor" texrepeat="1 1" texuniform="true"/>
+  </asset>
+  <default>
+    <geom contype="0" conaffinity="0"/>
+    <default class="decoration"><geom group="1" mass="0"/></default>
+    <default class="robot"><geom contype="1" conaffinity="2" rgba="0.20 0.22 0.26 1"/></default>
+    <default class="obstacle"><geom contype="2" conaffinity="1"/></default>
+    <default class="wheel">
+      <geom type="sphere" contype="1" conaffinity="4" friction="1 0.005 0.0001" mass="0.1"
+            group="1"/>
+    </default>
+    <default class="caster">
+      <geom type="sphere" contype="1" conaffinity="4" condim="1" mass="0.05" group="1"/>
+    </default>
+  </default>
+  <worldbody>
+    <geom name="floor" type="plane" size="40 40 0.1" material="floor" group="2" {floor_contact}/>
+    <camera name="top" pos="4.5 0 14" xyaxes="1 0 0 0 1 0" fovy="45"/>{robot}
+    <body name="human" mocap="true">
+      <geom name="human" class="obstacle" type="cylinder" pos="0 0 {human_half}"
+            size="{human_radius} {human_half}" rgba="0.80 0.22 0.22 1"/>
+      <geom class="decoration" type="sphere" pos="0 0 {human_height}" size="0.13"
+            rgba="0.95 0.78 0.65 1"/>
+      <geom class="decoration" type="capsule" fromto="0.05 0 {human_height} 0.32 0 {human_height}"
+            size="0.035" rgba="0.80 0.22 0.22 1"/>
+    </body>
+    <body name="goal" mocap="true">
+      <geom class="decoration" type="cylinder" pos="0 0 0.005" size="{goal_radius} 0.005"
+            rgba="0.15 0.45 0.90 0.55"/>
+      <geom class="decoration" type="cylinder" pos="0 0 0.3" size="0.03 0.3"
+            rgba="0.15 0.45 0.90 1"/>
+    </body>{boxes}
+  </worldbody>
+  <actuator>{actuators}
+  </actuator>
+</mujoco>
+"""
+
+_BOX = """
+    <body name="box{index}" mocap="true">
+      <geom name="box{index}" class="obstacle" type="box" pos="0 0 {half}" size="0.3 0.3 {half}"
+            rgba="0.55 0.47 0.38 1"/>
+    </body>"""
+
+_DECORATION = """<geom class="decoration" type="box" pos="{nose} 0 {top}" size="0.05 0.03 0.02"
+            rgba="1.0 0.75 0.1 1"/>
+      <camera name="chase" pos="-2.2 0 {chase}" xyaxes="0 -1 0 0.45 0 0.9" fovy="60"/>"""
+
+
+def time_step(drive: Drive) -> float:
+    """Physics time step of a drive, seconds: rolling contact needs a finer one.
+
+    Raises:
+        ValueError: for an unknown drive.
+    """
+    if drive not in ("planar", "wheels"):
+        raise ValueError(f"Unknown drive {drive!r}: choose 'planar' or 'wheels'.")
+    return 0.05 if drive == "planar" else 0.01
+
+
+def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: float) -> str:
+    """MJCF of a scene for one robot.
+
+    Args:
+        robot: dimensions and actuation.
+        drive: ``"planar"`` slides the base on two joints and a hinge under velocity servos, with
+            a stiff lateral servo for the wheels' no-slip; ``"wheels"`` rolls it on the floor.
+        num_boxes: boxes in the scene.
+        goal_radius: of the goal marker, metres.
+
+    Raises:
+        ValueError: for an unknown drive.
+    """
+    half_height = robot.height / 2
+    inertia = 0.5 * robot.mass * robot.radius**2
+    caster_radius = 0.6 * robot.wheel_radius
+    ground_clearance = 0.5 * robot.wheel_radius
+    values = {
+        "radius": robot.radius,
+        "mass": robot.mass,
+        "half_height": half_height,
+        "body_centre": half_height + ground_clearance,
+        "body_half_height": half_height,
+        "caster": 0.7 * robot.radius,
+        "caster_radius": caster_radius,
+        "half_track": robot.wheel_separation / 2,
+        "wheel_radius": robot.wheel_radius,
+        "kv_forward": robot.mass / robot.linear_response,
+        "kv_turn": inertia / robot.angular_response,
+        # Fifty times stiffer than needed to follow commands: sideways motion is below 1 mm/s.
+        "kv_lateral": 800.0 * robot.mass,
+        # A wheel carries half the mass at its rim.
+        "kv_wheel": 0.5 * robot.mass * robot.wheel_radius**2 / robot.linear_response,
+    }
+    base_height = half_height if drive == "planar" else 0.0
+    top = robot.height - base_height + (0.0 if drive == "planar" else ground_clearance)
+    decoration = _DECORATION.format(nose=0.7 * robot.radius, top=top, chase=top + 1.3)
+    body, actuators = (
+        (_PLANAR, _PLANAR_ACTUATORS) if drive == "planar" else (_WHEELS, _WHEELS_ACTUATORS)
+    )
+    return _WORLD.format(
+        timestep=time_step(drive),
+        gravity=0 if drive == "planar" else -9.81,
+        floor_contact="" if drive == "planar" else 'contype="4" conaffinity="1"',
+        robot=body.format(decoration=decoration, **values),
+        actuators=actuators.format(**values),
+        human_half=HUMAN_HEIGHT / 2 - 0.06,
+        human_height=HUMAN_HEIGHT - 0.1,
+        human_radius=HUMAN_RADIUS,
+        goal_radius=goal_radius,
+        boxes="".join(_BOX.format(index=i, half=BOX_HEIGHT / 2) for i in range(num_boxes)),
+    )

@@ -1,0 +1,81 @@
+"""What stands between the simulation and a policy: observation scaling and action bounds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torchrl.envs import (
+    ActionScaling,
+    CatTensors,
+    Compose,
+    ExcludeTransform,
+    ObservationNorm,
+    TransformedEnv,
+)
+
+from torchrl_morl.transforms import LidarMinPool, PolarFeatures, PreferenceSampler
+
+from .navigation import NavigationEnv
+
+NUM_SECTORS = 30
+GOAL_SCALE = 10.0
+HUMAN_SCALE = 5.0
+OBSERVATION_SIZE = NUM_SECTORS + 3 + 3
+
+
+def policy_transforms(max_range: float = 4.0) -> Compose:
+    """Transforms that build the policy's ``observation`` ``[*B, 36]`` and scale its action.
+
+    ==========  =====================================================================
+    entries     meaning
+    ==========  =====================================================================
+    0 to 29     ``lidar / max_range - 1`` of each 12 degree sector, in (-1, 0]: 0 is no return
+    30 to 32    goal: distance / 10 m, sine and cosine of its bearing
+    33 to 35    human: distance / 5 m, sine and cosine of its bearing
+    ==========  =====================================================================
+
+    The policy's ``action`` is in [-1, 1]; the environment gets it in m/s and rad/s.
+    """
+    return Compose(
+        ActionScaling(),
+        LidarMinPool(NUM_SECTORS),
+        ObservationNorm(
+            loc=-1.0, scale=1.0 / max_range, in_keys=["lidar"], out_keys=["lidar_features"]
+        ),
+        PolarFeatures(
+            in_keys=["goal", "human"],
+            out_keys=["goal_features", "human_features"],
+            scale=[GOAL_SCALE, HUMAN_SCALE],
+        ),
+        CatTensors(
+            in_keys=["lidar_features", "goal_features", "human_features"],
+            out_key="observation",
+            dim=-1,
+            sort=False,
+        ),
+    )
+
+
+def make_policy_env(
+    sampler: PreferenceSampler, *, keep_simulation: bool = False, **kwargs: Any
+) -> TransformedEnv:
+    """A :class:`NavigationEnv` as a preference-conditioned policy sees it.
+
+    Args:
+        sampler: gives every episode its preference.
+
+    Keyword Args:
+        keep_simulation: keep raw scans and the simulator's state in the rollouts, for figures and
+            snapshots; without them a transition takes 1 kB instead of 13 kB.
+        **kwargs: see :class:`NavigationEnv`.
+
+    Returns:
+        An environment with ``observation`` ``[N, 36]`` and ``preference`` ``[N, T]``, whose
+        ``action`` is in [-1, 1].
+    """
+    base = NavigationEnv(snapshots=keep_simulation, **kwargs)
+    transforms = policy_transforms(base.max_range)
+    transforms.append(sampler)
+    if not keep_simulation:
+        transforms.append(ExcludeTransform("scan", "lidar"))
+    return TransformedEnv(base, transforms)

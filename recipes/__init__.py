@@ -1,0 +1,1 @@
+"""Recipes: each a readable script that composes the library and the simulation."""

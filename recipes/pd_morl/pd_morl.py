@@ -1,0 +1,112 @@
+"""PD-MORL: one TD3 agent with vector values, trained over all preferences at once.
+
+Method of Basaklar et al. (https://arxiv.org/abs/2208.07914) as used by de Heuvel et al.
+(https://arxiv.org/abs/2404.04857). Run it with ``python -m recipes.pd_morl.pd_morl``; every field of
+``config.yaml`` can be overridden on the command line.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import hydra
+import torch
+import tqdm
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from torchrl._utils import timeit
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.collectors import Collector
+from torchrl.objectives import SoftUpdate
+
+from . import utils
+
+
+@hydra.main(version_base="1.3", config_path="", config_name="config")
+def main(cfg: DictConfig) -> None:
+    """Train, evaluate while training, and save the last and the best policy."""
+    torch.set_num_threads(cfg.torch_threads)
+    torch.manual_seed(cfg.seed)
+    device = torch.device(cfg.device)
+    run_dir = Path(HydraConfig.get().runtime.output_dir)
+    utils.write_run_info(run_dir)
+    loggers = utils.make_loggers(cfg, run_dir)
+
+    # The agent: an actor and twin critics that read the preference, one value per objective.
+    space = utils.make_preference_space()
+    env = utils.make_train_env(cfg, space)
+    eval_env = utils.make_eval_env(cfg, space)
+    actor, policy = utils.make_policy(cfg, env, space, device)
+    loss = utils.make_loss(cfg, env, space, actor, device)
+    target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
+    optimizers, schedulers = utils.make_optimizers(cfg, loss)
+    replay_buffer = utils.make_replay_buffer(cfg, space, device)
+
+    collector = Collector(
+        env,
+        policy,
+        frames_per_batch=cfg.collector.frames_per_batch,
+        total_frames=cfg.collector.total_frames,
+        init_random_frames=cfg.collector.init_random_frames,
+        policy_device=device,
+        storing_device=device,
+    )
+    checkpoints = CheckpointRotation(
+        run_dir / "checkpoints", keep_last=1, keep_best=("score", "max")
+    )
+    state = Checkpoint(loss=loss, **optimizers, **schedulers)
+
+    frames = updates = 0
+    score = success = float("nan")
+    progress = tqdm.tqdm(total=cfg.collector.total_frames, unit="step", smoothing=0.05)
+    for data in collector:
+        # Collected by groups of environments, each with preferences of its own segment.
+        with timeit("extend"):
+            replay_buffer.extend(data.reshape(-1))
+        collected, frames = frames, frames + data.numel()
+        progress.update(data.numel())
+
+        metrics = {}
+        if frames > cfg.collector.init_random_frames:
+            for _ in range(cfg.optim.updates_per_batch):
+                # Sampling replaces the preference of most transitions (hindsight).
+                with timeit("sample"):
+                    batch = replay_buffer.sample()
+                with timeit("update critic"):
+                    value_loss, info = loss.value_loss(batch)
+                    metrics |= utils.step(optimizers["critic"], value_loss, cfg.optim.max_grad_norm)
+                    metrics |= info | {"loss_qvalue": value_loss.detach()}
+                updates += 1
+                if updates % cfg.optim.policy_delay == 0:
+                    with timeit("update actor"):
+                        actor_loss, info = loss.actor_loss(batch)
+                        utils.step(optimizers["actor"], actor_loss, cfg.optim.max_grad_norm)
+                        target_updater.step()
+                        metrics |= info | {"loss_actor": actor_loss.detach()}
+            for scheduler in schedulers.values():
+                scheduler.step()
+
+        if metrics and utils.crossed(cfg.logger.interval, collected, frames):
+            utils.log_training(loggers, metrics, space, frames, updates)
+            progress.set_postfix(utils.progress_line(progress, updates, success, score))
+
+        if utils.crossed(cfg.evaluation.interval, collected, frames) and updates:
+            # Corner preferences: their returns are the key solutions of the interpolator.
+            with timeit("evaluate"):
+                result = utils.evaluate(cfg, eval_env, actor, space)
+            loss.interpolator.refit(result.key_solutions, cfg.evaluation.refit_momentum)
+            score, success = result.score, result.success
+            utils.log_metrics(loggers, result.metrics, frames)
+            checkpoints.save(state, step=frames, metadata={"score": score})
+            utils.save_training_policy(
+                run_dir / "policies" / f"{frames:09d}", cfg, actor, space, result
+            )
+            tqdm.tqdm.write(result.table(frames))
+    progress.close()
+    collector.shutdown()
+    timeit.print()
+    utils.finish(run_dir, cfg)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,356 @@
+"""What the PD-MORL script is made of: factories first, then evaluation, logging and files."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import json
+import math
+import platform
+import shutil
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+import tqdm
+from omegaconf import DictConfig, OmegaConf
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import Tensor, nn
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs import Compose, EnvBase, RewardScaling
+from torchrl.modules import AdditiveGaussianModule
+from torchrl.record.loggers import Logger, get_logger
+
+from envs import NavigationEnv
+from envs.policy_env import OBSERVATION_SIZE, make_policy_env
+from torchrl_morl.deploy import save_policy
+from torchrl_morl.evaluation import min_human_distance, rollout_preferences, time_to_goal
+from torchrl_morl.modules import PreferenceInterpolator, make_actor, make_vector_critic
+from torchrl_morl.objectives import MOTD3Loss
+from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.transforms import PreferenceRelabel, PreferenceSampler
+
+# --- factories ---------------------------------------------------------------------------------
+
+
+def make_preference_space() -> PreferenceSpace:
+    """The core objective always counts once; the user weighs the others."""
+    return PreferenceSpace(NavigationEnv.objectives, static={"core": 1.0})
+
+
+def make_train_env(cfg: DictConfig, space: PreferenceSpace) -> EnvBase:
+    sampler = PreferenceSampler(
+        space, law=cfg.preference.law, num_segments=cfg.preference.num_segments, seed=cfg.seed
+    )
+    return make_policy_env(sampler, seed=cfg.seed, **cfg.env)
+
+
+def make_eval_env(cfg: DictConfig, space: PreferenceSpace) -> EnvBase:
+    kwargs = {**cfg.env, "num_envs": cfg.evaluation.episodes}
+    return make_policy_env(PreferenceSampler(space), seed=cfg.evaluation.seed, **kwargs)
+
+
+def make_policy(
+    cfg: DictConfig, env: EnvBase, space: PreferenceSpace, device: torch.device
+) -> tuple[TensorDictSequential, TensorDictSequential]:
+    """The actor, and the actor with exploration noise."""
+    spec = env.action_spec_unbatched
+    actor = make_actor(
+        spec,
+        in_features=OBSERVATION_SIZE + space.num_tunable,
+        num_cells=cfg.network.num_cells,
+        device=device,
+    )
+    noise = AdditiveGaussianModule(
+        spec=spec,
+        sigma_init=cfg.collector.exploration_sigma,
+        sigma_end=cfg.collector.exploration_sigma,
+        device=device,
+    )
+    return actor, TensorDictSequential(actor, noise)
+
+
+def make_loss(
+    cfg: DictConfig,
+    env: EnvBase,
+    space: PreferenceSpace,
+    actor: TensorDictModule,
+    device: torch.device,
+) -> MOTD3Loss:
+    spec = env.action_spec_unbatched
+    critics = [
+        make_vector_critic(
+            space.num_objectives,
+            in_features=OBSERVATION_SIZE + space.num_tunable + spec.shape[-1],
+            num_cells=cfg.network.num_cells,
+            layer_norm=cfg.network.critic_layer_norm,
+            device=device,
+        )
+        for _ in range(2)
+    ]
+    loss = MOTD3Loss(
+        actor,
+        critics,
+        preference_space=space,
+        interpolator=PreferenceInterpolator(space.corners()),
+        angle=cfg.loss.angle,
+        angle_coeff_actor=cfg.loss.angle_coeff_actor,
+        angle_coeff_critic=cfg.loss.angle_coeff_critic,
+        pre_tanh_coeff=cfg.loss.pre_tanh_coeff,
+        action_spec=spec,
+        policy_noise=cfg.loss.policy_noise,
+        noise_clip=cfg.loss.noise_clip,
+    )
+    loss.make_value_estimator(gamma=cfg.loss.gamma)
+    return loss.to(device)
+
+
+def make_optimizers(
+    cfg: DictConfig, loss: MOTD3Loss
+) -> tuple[dict[str, torch.optim.Optimizer], dict[str, torch.optim.lr_scheduler.LRScheduler]]:
+    """Adam for each network, with a cosine from ``lr`` to ``final_lr_ratio * lr``."""
+    optimizers = {
+        "actor": torch.optim.Adam(
+            loss.actor_network_params.flatten_keys().values(), lr=cfg.optim.lr, fused=True
+        ),
+        "critic": torch.optim.Adam(
+            loss.qvalue_network_params.flatten_keys().values(), lr=cfg.optim.lr, fused=True
+        ),
+    }
+    batches = cfg.collector.total_frames / cfg.collector.frames_per_batch
+
+    def decay(batch: int) -> float:
+        share = min(1.0, batch / batches)
+        ratio = cfg.optim.final_lr_ratio
+        return ratio + (1 - ratio) * 0.5 * (1 + math.cos(math.pi * share))
+
+    schedulers = {
+        f"{name}_schedule": torch.optim.lr_scheduler.LambdaLR(optimizer, decay)
+        for name, optimizer in optimizers.items()
+    }
+    return optimizers, schedulers
+
+
+def make_replay_buffer(
+    cfg: DictConfig, space: PreferenceSpace, device: torch.device
+) -> TensorDictReplayBuffer:
+    return TensorDictReplayBuffer(
+        storage=LazyTensorStorage(cfg.replay_buffer.size, device=device),
+        batch_size=cfg.replay_buffer.batch_size,
+        transform=Compose(
+            RewardScaling(0.0, cfg.replay_buffer.reward_scale, in_keys=[("next", "reward")]),
+            PreferenceRelabel(
+                space,
+                ratio=cfg.preference.relabel_ratio,
+                law=cfg.preference.law,
+                seed=cfg.seed,
+            ),
+        ),
+    )
+
+
+def step(optimizer: torch.optim.Optimizer, loss: Tensor, max_grad_norm: float) -> dict[str, Tensor]:
+    """One optimizer step with clipped gradients; returns the gradient's norm before clipping."""
+    optimizer.zero_grad(set_to_none=True)
+    loss.backward()
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
+    optimizer.step()
+    return {"grad_norm": norm.detach()}
+
+
+# --- evaluation --------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """Deterministic episodes at the corner preferences and at their mean."""
+
+    names: tuple[str, ...]
+    columns: dict[str, list[float]]
+    """One value per preference."""
+    key_solutions: Tensor
+    """Mean scaled return of the tunable objectives at each corner, ``[T, T]``."""
+    score: float
+    """Mean scaled utility over the preferences; picks the best checkpoint."""
+
+    @property
+    def success(self) -> float:
+        """Over all preferences, percent."""
+        return sum(self.columns["success"]) / len(self.names)
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """Flat names for the loggers."""
+        flat = {"eval/score": self.score, "eval/success": self.success}
+        for column, values in self.columns.items():
+            for name, value in zip(self.names, values, strict=True):
+                flat[f"eval/{column}/{name}"] = value
+        return flat
+
+    def table(self, frames: int) -> str:
+        """For the terminal."""
+        lines = [f"after {frames:,} steps (score {self.score:.2f})"]
+        lines.append(f"{'preference':>12}" + "".join(f"{name:>11}" for name in self.columns))
+        for row, name in enumerate(self.names):
+            values = "".join(f"{column[row]:11.2f}" for column in self.columns.values())
+            lines.append(f"{name:>12}{values}")
+        return "\n".join(lines)
+
+
+def evaluate(
+    cfg: DictConfig, env: EnvBase, actor: TensorDictModule, space: PreferenceSpace
+) -> Evaluation:
+    corners = space.corners()
+    preferences = torch.cat((corners, corners.mean(0, keepdim=True)))
+    data = rollout_preferences(
+        env, actor, preferences, max_steps=cfg.env.max_episode_steps, seed=cfg.evaluation.seed
+    )
+    mask = data["mask"]
+    end = mask.sum(-1, keepdim=True) - 1
+
+    def last(key: str) -> Tensor:
+        return data["next", key].squeeze(-1).gather(-1, end).squeeze(-1)
+
+    success = last("success")
+    collision = last("collision_human") | last("collision_obstacle")
+    reward = cfg.replay_buffer.reward_scale * data["next", "reward"]
+    returns = (reward * mask.unsqueeze(-1)).sum(-2)  # [P, N, K]
+    utility = (space.weights(preferences).unsqueeze(1) * returns).sum(-1)
+    started = torch.ones_like(mask[..., :1])
+    position, human = data["next", "pose"][..., :2], data["next", "human_pose"][..., :2]
+    nearest = min_human_distance(position, human, mask)
+    elapsed = time_to_goal(success, torch.cat((started, mask), -1), NavigationEnv.CONTROL_PERIOD)
+    saturated = (data["action"].abs() > 0.99).float().mean(-1)
+    columns = {
+        "success": 100 * success.float().mean(-1),
+        "collision": 100 * collision.float().mean(-1),
+        "timeout": 100 * last("truncated").float().mean(-1),
+        "time": elapsed.nanmean(-1),
+        "human": nearest.mean(-1),
+        "saturated": (saturated * mask).sum((-2, -1)) / mask.sum((-2, -1)),
+    }
+    return Evaluation(
+        names=(*space.tunable, "balanced"),
+        columns={name: values.tolist() for name, values in columns.items()},
+        key_solutions=returns[: len(corners)].mean(1)[:, list(space.tunable_indices)],
+        score=utility.mean().item(),
+    )
+
+
+# --- logging -----------------------------------------------------------------------------------
+
+
+def make_loggers(cfg: DictConfig, run_dir: Path) -> list[Logger]:
+    return [
+        get_logger(backend, logger_name=str(run_dir), experiment_name=f"log_{backend}")
+        for backend in cfg.logger.backends
+    ]
+
+
+def log_metrics(loggers: list[Logger], metrics: dict[str, Any], frames: int) -> None:
+    for logger in loggers:
+        for name, value in metrics.items():
+            logger.log_scalar(name, float(value), step=frames)
+
+
+def log_training(
+    loggers: list[Logger],
+    metrics: dict[str, Tensor],
+    space: PreferenceSpace,
+    frames: int,
+    updates: int,
+) -> None:
+    flat = {"train/updates": updates}
+    for name, value in metrics.items():
+        if name == "q_scale":
+            for objective, scale in zip(space.objectives, value, strict=True):
+                flat[f"train/q_scale/{objective}"] = scale
+        else:
+            flat[f"train/{name}"] = value.float().mean()
+    log_metrics(loggers, flat, frames)
+
+
+def progress_line(
+    progress: tqdm.tqdm, updates: int, success: float, score: float
+) -> dict[str, str]:
+    """Beside steps/s and the time left, which the bar itself shows."""
+    elapsed = progress.format_dict["elapsed"]
+    return {
+        "updates/s": f"{updates / max(elapsed, 1e-9):.1f}",
+        "success": f"{success:.0f}%",
+        "score": f"{score:.2f}",
+    }
+
+
+def crossed(interval: int, before: int, after: int) -> bool:
+    """Whether a multiple of the interval lies in (before, after]."""
+    return after // interval > before // interval
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+def write_run_info(run_dir: Path) -> None:
+    """Versions and git state, beside the resolved configuration that Hydra writes."""
+    packages = ("torch", "torchrl", "tensordict", "mujoco", "numpy")
+    info = {
+        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "python": platform.python_version(),
+        "versions": {name: importlib.metadata.version(name) for name in packages},
+        "git": _git_state(run_dir),
+    }
+    (run_dir / "run.json").write_text(json.dumps(info, indent=2) + "\n")
+
+
+def _git_state(run_dir: Path) -> dict[str, Any] | None:
+    if shutil.which("git") is None:
+        return None
+
+    def git(*arguments: str) -> subprocess.CompletedProcess:
+        where = Path(__file__).parent
+        return subprocess.run(["git", *arguments], cwd=where, capture_output=True, text=True)
+
+    commit = git("rev-parse", "HEAD")
+    if commit.returncode:
+        return None
+    diff = git("diff", "HEAD").stdout
+    if diff:
+        (run_dir / "uncommitted.diff").write_text(diff)
+    return {"commit": commit.stdout.strip(), "uncommitted_changes": bool(diff)}
+
+
+def save_training_policy(
+    folder: Path,
+    cfg: DictConfig,
+    actor: TensorDictModule,
+    space: PreferenceSpace,
+    result: Evaluation,
+) -> None:
+    save_policy(
+        folder,
+        actor,
+        space=space,
+        observation_size=OBSERVATION_SIZE,
+        action_size=2,
+        num_cells=tuple(cfg.network.num_cells),
+        card={
+            "config": OmegaConf.to_container(cfg, resolve=True),
+            "evaluation": {"preferences": result.names, **result.columns},
+            "score": result.score,
+        },
+    )
+
+
+def finish(run_dir: Path, cfg: DictConfig) -> None:
+    """Point to the results."""
+    policies = sorted((run_dir / "policies").iterdir())
+
+    def score(folder: Path) -> float:
+        return json.loads((folder / "policy.json").read_text())["card"]["score"]
+
+    if policies:
+        best = max(policies, key=score)
+        print(f"best policy: {best} (score {score(best):.2f}); last policy: {policies[-1]}")

@@ -1,0 +1,152 @@
+"""One policy under many preferences: rollouts over the same scenes, a table, and its numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+
+from envs.metrics import episode_metrics, trajectories
+from envs.policy_env import make_policy_env
+from torchrl_morl.evaluation import rollout_preferences
+from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.transforms import PreferenceSampler
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """What a policy did under ``P`` preferences in the same ``N`` scenes."""
+
+    space: PreferenceSpace
+    preferences: Tensor
+    """``[P, T]``"""
+    metrics: TensorDict
+    """``[P, N]``, see :func:`envs.metrics.episode_metrics`."""
+    paths: TensorDict
+    """``[P, N]``, see :func:`envs.metrics.trajectories`."""
+    scenes: TensorDictBase
+    """``[N]``, ``start`` [N, 3], ``goal``, ``human`` [N, 3] and ``boxes``."""
+
+    def mean(self, name: str) -> Tensor:
+        """Mean over the episodes where the metric is defined, ``[P]``."""
+        return self.metrics[name].float().nanmean(-1)
+
+    def table(self) -> str:
+        """One line per preference; means of quantities that need success come with their n."""
+        names = "  ".join(f"{name[:10]:>10}" for name in self.space.tunable)
+        lines = [
+            f"{names}  {'success':>8}  {'hit human':>9}  {'hit box':>8}  {'timeout':>8}"
+            f"  {'time (n)':>14}  {'min. distance to human (n)':>26}"
+        ]
+        count = self.metrics.shape[1]
+        for row, preference in enumerate(self.preferences.tolist()):
+            metrics = self.metrics[row]
+
+            def percent(name: str, metrics: TensorDictBase = metrics) -> str:
+                return f"{100 * metrics[name].float().mean():.1f} %"
+
+            weights = "  ".join(f"{value:10.2f}" for value in preference)
+            solved = int(metrics["success"].sum())
+            time = f"{metrics['time'].nanmean():.2f} s ({solved})"
+            near = f"{metrics['min_human_distance'].mean():.2f} m ({count})"
+            lines.append(
+                f"{weights}  {percent('success'):>8}  {percent('collision_human'):>9}"
+                f"  {percent('collision_obstacle'):>8}  {percent('timeout'):>8}"
+                f"  {time:>14}  {near:>26}"
+            )
+        return "\n".join(lines)
+
+
+def sweep(
+    actor: TensorDictModule,
+    space: PreferenceSpace,
+    preferences: Tensor,
+    *,
+    episodes: int,
+    seed: int,
+    max_episode_steps: int = 300,
+    on_preference: Callable[[int], None] | None = None,
+    **env_kwargs: Any,
+) -> Sweep:
+    """Roll a policy out in ``episodes`` scenes under each preference.
+
+    Args:
+        actor: the policy.
+        space: of its preferences.
+        preferences: ``[P, T]``.
+
+    Keyword Args:
+        episodes: scenes, the same for every preference.
+        seed: of the scenes.
+        max_episode_steps: steps before an episode is truncated.
+        on_preference: called after each preference, for a progress bar.
+        **env_kwargs: see :class:`envs.NavigationEnv`.
+
+    Raises:
+        ValueError: for preferences off the simplex, and whatever the environment refuses.
+    """
+    preferences = space.validate(preferences)
+    env = make_policy_env(
+        PreferenceSampler(space),
+        keep_simulation=True,
+        num_envs=episodes,
+        seed=seed,
+        max_episode_steps=max_episode_steps,
+        **env_kwargs,
+    )
+    first: list[TensorDictBase] = []
+
+    def keep(rollout: TensorDictBase) -> TensorDictBase:
+        if not first:
+            first.append(rollout[..., 0].clone())
+        names = ("pose", "human_pose", "goal", "action")
+        ends = ("success", "collision_human", "collision_obstacle", "truncated")
+        return rollout.select(*names, *(("next", name) for name in ("pose", "human_pose", *ends)))
+
+    rollout = rollout_preferences(
+        env,
+        actor,
+        preferences,
+        max_steps=max_episode_steps,
+        seed=seed,
+        keep=keep,
+        on_preference=on_preference,
+    )
+    env.close()
+    start = first[0]
+    return Sweep(
+        space=space,
+        preferences=preferences,
+        metrics=episode_metrics(rollout),
+        paths=trajectories(rollout),
+        scenes=TensorDict(
+            {
+                "start": start["pose"],
+                "human": start["human_pose"],
+                "goal": start["scene", "goal"],
+                "boxes": start["scene", "boxes"],
+            },
+            batch_size=start.batch_size,
+        ),
+    )
+
+
+def edge(space: PreferenceSpace, first: str, second: str, steps: int = 11) -> Tensor:
+    """Preferences from ``first`` alone to ``second`` alone, ``[steps, T]``.
+
+    Raises:
+        ValueError: if a name is not a tunable objective.
+    """
+    for name in (first, second):
+        if name not in space.tunable:
+            raise ValueError(f"{name!r} is not tunable: choose among {space.tunable}.")
+    preferences = torch.zeros(steps, space.num_tunable)
+    share = torch.linspace(0, 1, steps)
+    preferences[:, space.tunable.index(first)] = 1 - share
+    preferences[:, space.tunable.index(second)] = share
+    return preferences

@@ -1,0 +1,82 @@
+"""A preference changed while the robot drives."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torchrl.envs import step_mdp
+
+from envs import NavigationEnv
+from envs.metrics import trajectories
+from envs.policy_env import make_policy_env
+from torchrl_morl.evaluation import episode_mask
+from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.transforms import PreferenceSampler
+
+
+@dataclasses.dataclass(frozen=True)
+class Switch:
+    """Three runs in one scene: the first preference, the second, and the first then the second."""
+
+    paths: TensorDict
+    """``[3]``, see :func:`envs.metrics.trajectories`."""
+    actions: Tensor
+    """``[3, S, 2]``: m/s, rad/s."""
+    switch_step: int
+    """The step whose action is the first under the new preference."""
+
+    @property
+    def separation(self) -> float:
+        """Distance from where the robot would have been, one second after the change, metres."""
+        step = self.switch_step + round(1.0 / NavigationEnv.CONTROL_PERIOD)
+        position = self.paths["position"][:, step]
+        return (position[2] - position[0]).norm().item()
+
+
+@torch.no_grad()
+def switch(
+    actor: TensorDictModule,
+    space: PreferenceSpace,
+    preferences: Tensor,
+    *,
+    switch_step: int = 15,
+    scene: str = "showcase",
+    seed: int = 0,
+    goal_radius: float = 0.3,
+    max_episode_steps: int = 300,
+) -> Switch:
+    """Drive through one scene under both preferences ``[2, T]``, and change between them."""
+    env = make_policy_env(
+        PreferenceSampler(space),
+        keep_simulation=True,
+        num_envs=3,
+        scene=scene,
+        seed=seed,
+        goal_radius=goal_radius,
+        max_episode_steps=max_episode_steps,
+    )
+    start = TensorDict({"preference": preferences[[0, 1, 0]]}, batch_size=[3])
+    data = env.reset(start, set_state=False)
+    steps = []
+    for step in range(max_episode_steps):
+        if step == switch_step:
+            data["preference"][2] = preferences[1]
+        data = env.step(actor(data))
+        steps.append(data.exclude("scan", ("next", "scan")).clone())
+        ended = torch.stack([step["next", "done"] for step in steps]).any(0)
+        if ended.all():
+            break
+        data = step_mdp(data)
+    rollout = torch.stack(steps, dim=1)
+    rollout["mask"] = episode_mask(rollout["next", "done"])
+    low, high = env.base_env.action_spec.space.low[0], env.base_env.action_spec.space.high[0]
+    env.close()
+    return Switch(
+        paths=trajectories(rollout),
+        actions=low + (rollout["action"] + 1) / 2 * (high - low),
+        switch_step=switch_step,
+    )

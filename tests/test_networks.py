@@ -1,0 +1,149 @@
+"""Actor and critic builders, and the saturation metric."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torchrl.data import Bounded, Composite, Unbounded
+
+from torchrl_morl.modules import make_actor, make_vector_critic, saturated_fraction
+
+LOW, HIGH = torch.tensor([0.0, -3.0]), torch.tensor([0.5, 3.0])
+
+
+def _data(*batch: int, scale: float = 1.0) -> TensorDict:
+    return TensorDict(
+        observation=scale * torch.randn(*batch, 4),
+        preference=torch.rand(*batch, 3),
+        action=torch.rand(*batch, 2),
+        batch_size=batch,
+    )
+
+
+@pytest.mark.parametrize("batch", [(), (5,), (2, 3)])
+def test_actor_maps_the_pre_tanh_output_to_the_bounds(batch):
+    actor = make_actor(Bounded(LOW, HIGH), in_features=7, num_cells=(8, 8), last_layer_gain=50.0)
+    data = actor(_data(*batch, scale=100.0))
+    assert data["action"].shape == (*batch, 2)
+    expected = LOW + (HIGH - LOW) * (data["pre_tanh"].tanh() + 1) / 2
+    torch.testing.assert_close(data["action"], expected)
+    assert Bounded(LOW, HIGH).expand(*batch, 2).is_in(data["action"])
+
+
+def test_actor_starts_at_the_centre_of_the_range():
+    actor = make_actor(Bounded(LOW, HIGH), in_features=7, last_layer_gain=0.01)
+    action = actor(_data(64))["action"]
+    distance = (action - (LOW + HIGH) / 2).abs() / (HIGH - LOW)
+    assert distance.max() < 0.01
+    assert action.std(0).min() > 0
+    loose = make_actor(Bounded(LOW, HIGH), in_features=7, last_layer_gain=1.0)
+    assert loose[0].module[-1].weight.abs().max() > actor[0].module[-1].weight.abs().max() * 10
+
+
+def test_reset_keeps_the_small_last_layer():
+    actor = make_actor(Bounded(LOW, HIGH), in_features=7, num_cells=(8,), last_layer_gain=0.01)
+    before = {name: value.clone() for name, value in actor.named_parameters()}
+    actor.reset_parameters_recursive()
+    last = actor[0].module[-1]
+    assert not torch.equal(last.weight, before["module.0.module.2.weight"])
+    assert last.weight.abs().max() <= 0.01 / 8**0.5
+    assert (last.bias == 0).all()
+
+
+def test_actor_sees_the_preference():
+    actor = make_actor(Bounded(LOW, HIGH), in_features=7, last_layer_gain=1.0)
+    data = _data(1).expand(2).clone()
+    data["preference"] = torch.eye(3)[:2]
+    action = actor(data)["action"]
+    assert not torch.allclose(action[0], action[1])
+
+
+def test_actor_nested_keys_and_composite_spec():
+    spec = Composite({"agent": Composite({"action": Bounded(LOW, HIGH)})})
+    actor = make_actor(
+        spec,
+        in_features=7,
+        in_keys=[("agent", "observation"), ("agent", "preference")],
+        out_key=("agent", "action"),
+        pre_tanh_key=("agent", "pre_tanh"),
+        num_cells=(8,),
+    )
+    data = TensorDict(agent=_data(5).exclude("action"), batch_size=5)
+    assert actor(data)["agent", "action"].shape == (5, 2)
+    assert data["agent", "pre_tanh"].shape == (5, 2)
+    assert actor.in_keys == [("agent", "observation"), ("agent", "preference")]
+
+
+def test_actor_drops_the_batch_of_the_spec():
+    actor = make_actor(Bounded(LOW, HIGH).expand(6, 2), in_features=7, num_cells=(8,))
+    assert torch.equal(actor[1].action_low, LOW)
+    assert torch.equal(actor[1].action_high, HIGH)
+
+
+@pytest.mark.parametrize("layer_norm", [True, False])
+@pytest.mark.parametrize("batch", [(), (5,), (2, 3)])
+def test_critic_writes_one_value_per_objective(batch, layer_norm):
+    critic = make_vector_critic(4, in_features=9, num_cells=(8, 8), layer_norm=layer_norm)
+    assert critic(_data(*batch))["state_action_value"].shape == (*batch, 4)
+    assert any(isinstance(module, nn.LayerNorm) for module in critic.modules()) == layer_norm
+
+
+def test_critic_depends_on_every_input():
+    critic = make_vector_critic(2, in_features=9, num_cells=(8,))
+    data = _data(5)
+    for value in data.values():
+        value.requires_grad_()
+    critic(data)["state_action_value"].sum().backward()
+    for key in critic.in_keys:
+        assert (data[key].grad != 0).any(), key
+
+
+def test_critic_keys():
+    critic = make_vector_critic(
+        2,
+        in_features=6,
+        in_keys=[("agent", "observation"), "action"],
+        out_key=("agent", "value"),
+        num_cells=(8,),
+    )
+    data = TensorDict(agent=_data(5).select("observation"), action=torch.rand(5, 2), batch_size=5)
+    assert critic(data)["agent", "value"].shape == (5, 2)
+
+
+def test_state_dict_keys_are_stable():
+    # Published weights are stored under these names.
+    actor = make_actor(Bounded(LOW, HIGH), in_features=7, num_cells=(8, 8))
+    layers = [f"module.0.module.{i}.{name}" for i in (0, 2, 4) for name in ("weight", "bias")]
+    assert list(actor.state_dict()) == [*layers, "module.1.action_low", "module.1.action_high"]
+    critic = make_vector_critic(4, in_features=9, num_cells=(8,))
+    layers = [f"module.{i}.{name}" for i in (0, 1, 3) for name in ("weight", "bias")]
+    assert list(critic.state_dict()) == layers
+
+
+@pytest.mark.parametrize("threshold", [0.99, 0.4])
+def test_saturated_fraction(threshold):
+    action = torch.tensor([[0.0, 0.0], [0.5, 2.985], [0.25, -1.8], [0.001, 2.9]])
+    # Scaled to [-1, 1]: (-1, 0), (1, .995), (0, -.6), (-.996, .967).
+    expected = {0.99: 4 / 8, 0.4: 6 / 8}[threshold]
+    assert saturated_fraction(action, LOW, HIGH, threshold=threshold) == expected
+
+
+def test_saturated_fraction_of_a_pre_tanh_output():
+    pre_tanh = torch.tensor([[-10.0, 1.0], [2.0, 3.0]], requires_grad=True)
+    fraction = saturated_fraction(pre_tanh.tanh())
+    assert fraction == 0.5
+    assert not fraction.requires_grad
+
+
+def test_bad_arguments():
+    with pytest.raises(ValueError, match="must be a Bounded spec"):
+        make_actor(Unbounded((2,)), in_features=7)
+    with pytest.raises(ValueError, match="must be a Bounded spec"):
+        make_actor(Bounded(0.0, 1.0, ()), in_features=7)
+    spec = Bounded(torch.tensor([[0.0], [-1.0]]), torch.ones(2, 1))
+    with pytest.raises(ValueError, match="different bounds"):
+        make_actor(spec, in_features=7)
+    with pytest.raises(ValueError, match="num_objectives must be positive"):
+        make_vector_critic(0, in_features=9)

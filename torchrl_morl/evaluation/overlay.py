@@ -1,0 +1,235 @@
+"""The preference, drawn into pictures as a small bar chart."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey, unravel_key
+from torch import Tensor
+from torchrl.data import Composite
+from torchrl.envs.transforms import Transform
+
+from torchrl_morl.preferences import PreferenceSpace
+
+__all__ = ["BAR_COLORS", "PreferenceOverlay", "draw_preference"]
+
+BAR_COLORS: tuple[tuple[int, int, int], ...] = (
+    (204, 121, 167),
+    (0, 114, 178),
+    (230, 159, 0),
+    (0, 158, 115),
+    (86, 180, 233),
+    (213, 94, 0),
+)
+"""Colours of the bars, from Okabe and Ito's colour-blind safe palette; they repeat after six."""
+
+_TRACK = (222, 222, 222)
+_INK = (30, 30, 30)
+_OPACITY = 0.86
+
+
+class _Panel(NamedTuple):
+    """The part of the chart that does not depend on the preference."""
+
+    color: np.ndarray  # [h, w, 3], already multiplied by the opacity
+    transparency: np.ndarray  # [h, w, 1], how much of the frame shows through
+    top: int
+    left: int
+    bar_left: int
+    bar_width: int
+    bar_tops: tuple[int, ...]
+    bar_height: int
+
+
+@functools.lru_cache(maxsize=16)
+def _panel(names: tuple[str, ...], height: int, width: int) -> _Panel:
+    try:
+        from PIL import Image, ImageDraw, ImageFont
+    except ImportError as error:  # pragma: no cover
+        raise ImportError("Drawing preferences needs Pillow: pip install pillow.") from error
+    size = max(9, round(height / 26))
+    font = ImageFont.load_default(size)
+    text_width = max(round(font.getlength(name)) for name in names)
+    pad, row, bar_width = round(0.6 * size), round(1.45 * size), 6 * size
+    shape = (3 * pad + text_width + bar_width, 2 * pad + row * len(names) - round(0.3 * size))
+    margin = round(0.5 * size)
+    if shape[0] + 2 * margin > width or shape[1] + 2 * margin > height:
+        raise ValueError(
+            f"Frames of {width} x {height} pixels are too small for a chart of {shape[0]} x "
+            f"{shape[1]} (and a margin of {margin}): render larger frames, or use shorter names."
+        )
+    image = Image.new("RGBA", shape, (255, 255, 255, 0))
+    draw = ImageDraw.Draw(image)
+    box = (0, 0, shape[0] - 1, shape[1] - 1)
+    draw.rounded_rectangle(box, radius=pad, fill=(255, 255, 255, round(255 * _OPACITY)))
+    tops = tuple(pad + row * i for i in range(len(names)))
+    bar_left, bar_height = 2 * pad + text_width, size
+    for name, top in zip(names, tops, strict=True):
+        draw.text((pad, top + size / 2), name, font=font, fill=(*_INK, 255), anchor="lm")
+        draw.rectangle(
+            (bar_left, top, bar_left + bar_width - 1, top + bar_height - 1), fill=(*_TRACK, 255)
+        )
+    pixels = np.asarray(image, dtype=np.float32)
+    opacity = pixels[..., 3:] / 255
+    return _Panel(
+        color=pixels[..., :3] * opacity,
+        transparency=1 - opacity,
+        top=margin,
+        left=margin,
+        bar_left=bar_left,
+        bar_width=bar_width,
+        bar_tops=tops,
+        bar_height=bar_height,
+    )
+
+
+def draw_preference(frames: Tensor, preference: Tensor, names: Sequence[str]) -> Tensor:
+    """Draw a bar chart of the preference into the upper left corner of every frame.
+
+    A full bar is a weight of one. The chart scales with the height of the frames.
+
+    Args:
+        frames: ``uint8 [*B, H, W, 3]``.
+        preference: ``[*B, T]``, or ``[T]`` for all frames.
+        names: of the ``T`` tunable objectives.
+
+    Returns:
+        New frames, of the shape and on the device of the given ones.
+
+    Raises:
+        ValueError: if dtype or shapes do not fit, or if the frames are too small for the chart.
+
+    Example:
+        >>> frames = torch.zeros(2, 120, 200, 3, dtype=torch.uint8)
+        >>> preference = torch.tensor([[0.2, 0.8], [1.0, 0.0]])
+        >>> draw_preference(frames, preference, ("distance", "efficiency")).shape
+        torch.Size([2, 120, 200, 3])
+
+    """
+    names = tuple(names)
+    if frames.dtype != torch.uint8 or frames.ndim < 3 or frames.shape[-1] != 3:
+        raise ValueError(
+            f"frames must be uint8 [*B, H, W, 3], got {frames.dtype} {list(frames.shape)}."
+        )
+    preference = torch.as_tensor(preference).detach().cpu().double()
+    if not names or preference.ndim == 0 or preference.shape[-1] != len(names):
+        raise ValueError(
+            f"preference must have one entry for each of the names {names}, got shape "
+            f"{list(preference.shape)}."
+        )
+    batch, (height, width) = frames.shape[:-3], frames.shape[-3:-1]
+    if preference.ndim > 1 and preference.shape[:-1] != batch:
+        raise ValueError(
+            f"preference of batch shape {list(preference.shape[:-1])} does not fit frames of "
+            f"{list(batch)}."
+        )
+    panel = _panel(names, height, width)
+    out = frames.detach().to("cpu", copy=True).contiguous()
+    pixels = out.view(-1, height, width, 3).numpy()
+    shares = preference.expand(*batch, len(names)).reshape(-1, len(names)).clamp(0, 1)
+    lengths = (shares * panel.bar_width).round().long().tolist()
+    rows, columns = panel.color.shape[:2]
+    corner = pixels[:, panel.top : panel.top + rows, panel.left : panel.left + columns]
+    corner[...] = np.rint(corner * panel.transparency + panel.color).astype(np.uint8)
+    for chart, bars in zip(corner, lengths, strict=True):
+        for index, (top, length) in enumerate(zip(panel.bar_tops, bars, strict=True)):
+            bar = chart[top : top + panel.bar_height, panel.bar_left : panel.bar_left + length]
+            bar[...] = BAR_COLORS[index % len(BAR_COLORS)]
+    return out.to(frames.device)
+
+
+class PreferenceOverlay(Transform):
+    """Draw the preference into the pictures of an environment.
+
+    A :class:`~torchrl.record.VideoRecorder` placed after it records pictures that say which
+    preference was followed. Place it after the
+    :class:`~torchrl_morl.transforms.PreferenceSampler`. In a partial reset, the environments that
+    are not being reset keep their last picture.
+
+    Args:
+        space: the objectives; the chart names the tunable ones.
+
+    Keyword Args:
+        in_keys: pictures, ``uint8 [*B, H, W, 3]``.
+        out_keys: where to write; defaults to ``in_keys``.
+        preference_key: the preference, ``[*B, T]``.
+
+    Raises:
+        KeyError: in an environment without preferences.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> space = PreferenceSpace(("core", "distance", "efficiency"), static={"core": 1.0})
+        >>> overlay = PreferenceOverlay(space)
+        >>> data = TensorDict(
+        ...     pixels=torch.zeros(4, 120, 200, 3, dtype=torch.uint8),
+        ...     preference=torch.full((4, 2), 0.5),
+        ...     batch_size=4,
+        ... )
+        >>> bool(overlay(data)["pixels"].any())
+        True
+
+    """
+
+    def __init__(
+        self,
+        space: PreferenceSpace,
+        *,
+        in_keys: Sequence[NestedKey] = ("pixels",),
+        out_keys: Sequence[NestedKey] | None = None,
+        preference_key: NestedKey = "preference",
+    ) -> None:
+        in_keys = [unravel_key(key) for key in in_keys]
+        super().__init__(in_keys=in_keys, out_keys=list(in_keys if out_keys is None else out_keys))
+        self.space = space
+        self.preference_key = unravel_key(preference_key)
+        self._last: dict[NestedKey, Tensor] = {}
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Draw into the pictures of data, for instance of a replay buffer."""
+        return self._draw(tensordict, tensordict)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._remember(self._draw(next_tensordict, tensordict))
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        self._draw(tensordict_reset, tensordict)
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        if mask is not None and not mask.all():
+            # A sampler draws a preference for every row, but the others go on with theirs.
+            for key, last in self._last.items():
+                frames = tensordict_reset.get(key)
+                if last.shape == frames.shape:
+                    chosen = mask.reshape(*mask.shape[: frames.ndim - 3], 1, 1, 1)
+                    tensordict_reset.set(key, torch.where(chosen, frames, last))
+        return self._remember(tensordict_reset)
+
+    def _remember(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self._last = {key: tensordict.get(key) for key in self.out_keys}
+        return tensordict
+
+    def _draw(self, target: TensorDictBase, fallback: TensorDictBase | None) -> TensorDictBase:
+        preference = target.get(self.preference_key, None)
+        if preference is None and fallback is not None:
+            preference = fallback.get(self.preference_key, None)
+        if preference is None:
+            raise KeyError(
+                f"PreferenceOverlay found no {self.preference_key!r}: place it after the "
+                "PreferenceSampler."
+            )
+        for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
+            target.set(out_key, draw_preference(target.get(in_key), preference, self.space.tunable))
+        return target
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec = observation_spec.clone()
+        for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
+            observation_spec[out_key] = observation_spec[in_key].clone()
+        return observation_spec

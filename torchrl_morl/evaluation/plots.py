@@ -1,0 +1,98 @@
+"""Pictures of trajectories, drawn on matplotlib axes that the caller makes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
+
+__all__ = ["PREFERENCE_COLORS", "draw_paths", "draw_scene"]
+
+PREFERENCE_COLORS = "viridis"
+"""Colour map of preferences: perceptually uniform and safe for colour-blind readers."""
+
+
+def draw_scene(
+    ax: Axes,
+    *,
+    start: Tensor,
+    goal: Tensor,
+    human: Tensor,
+    boxes: Tensor,
+    human_radius: float,
+    goal_radius: float,
+) -> None:
+    """Draw start, goal, human and boxes seen from above.
+
+    Args:
+        ax: axes in metres; their aspect is set to equal.
+
+    Keyword Args:
+        start: ``[2]`` or more entries.
+        goal: ``[2]``.
+        human: ``[3]``, x, y and heading.
+        boxes: ``[M, 5]``: x, y, yaw, half length, half width.
+        human_radius: metres.
+        goal_radius: metres.
+    """
+    from matplotlib.patches import Circle, Polygon
+
+    for x, y, yaw, half_length, half_width in np.asarray(boxes):
+        corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * [half_length, half_width]
+        rotation = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        ax.add_patch(Polygon(corners @ rotation + [x, y], facecolor="0.55", edgecolor="0.35"))
+    x, y, heading = np.asarray(human)[:3]
+    ax.add_patch(Circle((x, y), human_radius, facecolor="#d55e00", edgecolor="black", zorder=4))
+    nose = 1.9 * human_radius * np.array([np.cos(heading), np.sin(heading)])
+    ax.annotate(
+        "",
+        xy=(x + nose[0], y + nose[1]),
+        xytext=(x, y),
+        arrowprops={"arrowstyle": "-|>", "color": "black"},
+        zorder=5,
+    )
+    gx, gy = np.asarray(goal)[:2]
+    ax.add_patch(
+        Circle((gx, gy), goal_radius, facecolor="none", edgecolor="#0072b2", linestyle="--")
+    )
+    ax.plot(gx, gy, marker="*", markersize=12, color="#0072b2", zorder=5)
+    sx, sy = np.asarray(start)[:2]
+    ax.plot(sx, sy, marker="o", markersize=7, color="black", zorder=5)
+    ax.set_aspect("equal")
+    ax.set_xlabel("x / m")
+    ax.set_ylabel("y / m")
+
+
+def draw_paths(
+    ax: Axes,
+    position: Tensor,
+    mask: Tensor,
+    values: Tensor,
+    *,
+    cmap: str | Colormap = PREFERENCE_COLORS,
+    linewidth: float = 1.8,
+) -> None:
+    """Draw paths coloured by a value in [0, 1], such as an entry of the preference.
+
+    Args:
+        ax: axes in metres.
+        position: ``[P, T, 2]``.
+        mask: ``[P, T]``.
+        values: ``[P]``.
+
+    Keyword Args:
+        cmap: colours of 0 to 1.
+        linewidth: points.
+    """
+    import matplotlib as mpl
+
+    colors = mpl.colormaps[cmap] if isinstance(cmap, str) else cmap
+    for path, valid, value in zip(
+        np.asarray(position), np.asarray(mask), np.asarray(values), strict=True
+    ):
+        ax.plot(*path[valid].T, color=colors(float(value)), linewidth=linewidth, zorder=3)

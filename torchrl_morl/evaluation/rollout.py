@@ -1,0 +1,94 @@
+"""Rollouts of one policy under many preferences, over the same episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+__all__ = ["episode_mask", "rollout_preferences"]
+
+
+def episode_mask(done: Tensor) -> Tensor:
+    """Steps up to and including the first ``done``: ``[*B, T, 1]`` -> ``[*B, T]``.
+
+    Examples:
+        >>> import torch
+        >>> episode_mask(torch.tensor([False, True, True]).unsqueeze(-1))
+        tensor([ True,  True, False])
+    """
+    ended = done.squeeze(-1).cumsum(-1)
+    return (ended - done.squeeze(-1).to(ended.dtype)) == 0
+
+
+@torch.no_grad()
+def rollout_preferences(
+    env: EnvBase,
+    policy: TensorDictModuleBase,
+    preferences: Tensor,
+    *,
+    max_steps: int,
+    seed: int,
+    preference_key: NestedKey = "preference",
+    keep: Callable[[TensorDictBase], TensorDictBase] | None = None,
+    on_preference: Callable[[int], None] | None = None,
+) -> TensorDictBase:
+    """Roll a policy out once per preference, each time over the same episodes.
+
+    The environment is seeded anew for every preference, so that episode ``i`` starts from the
+    same state under all of them: comparisons between preferences are paired.
+
+    Args:
+        env: an environment of batch size ``[N]`` that honours ``preference_key`` at reset.
+        policy: acts deterministically.
+        preferences: ``[P, T]``.
+
+    Keyword Args:
+        max_steps: longest episode.
+        seed: of the environment.
+        preference_key: where the preference is.
+        keep: picks what to keep of a rollout (default: everything), to bound memory.
+        on_preference: called with the index of each preference when it is done.
+
+    Returns:
+        A tensordict of batch size ``[P, N, S]``, ``S`` the longest episode found, with ``mask``
+        ``[P, N, S]`` marking the steps that belong to each (first) episode. Shorter rollouts are
+        padded with their zeros and a false mask.
+    """
+    rollouts = []
+    for index, preference in enumerate(preferences):
+        env.set_seed(seed)
+        start = TensorDict(batch_size=env.batch_size, device=env.device)
+        start.set(preference_key, preference.expand(*env.batch_size, -1).clone())
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            rollout = env.rollout(
+                max_steps,
+                policy,
+                auto_reset=False,
+                tensordict=env.reset(start, set_state=False),
+                break_when_any_done=False,
+                break_when_all_done=True,
+            )
+        rollout.set("mask", episode_mask(rollout["next", "done"]))
+        if keep is not None:
+            mask = rollout["mask"]
+            rollout = keep(rollout)
+            rollout.set("mask", mask)
+        rollouts.append(rollout)
+        if on_preference is not None:
+            on_preference(index)
+    longest = max(rollout.shape[-1] for rollout in rollouts)
+    padded = []
+    for rollout in rollouts:
+        missing = longest - rollout.shape[-1]
+        if missing:
+            tail = torch.zeros_like(rollout[..., :1]).expand(*rollout.shape[:-1], missing)
+            rollout = torch.cat((rollout, tail), dim=-1)
+        padded.append(rollout)
+    return torch.stack(padded)

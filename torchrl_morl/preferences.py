@@ -1,0 +1,499 @@
+"""Preferences over objectives: names, weights, sampling, segments, test grids and validation.
+
+:class:`PreferenceSpace` is the one place that knows which entries of a vector reward a user may
+weigh. A *preference* is a point of the simplex over the ``T`` tunable objectives; the *weights*
+are the vector over all ``K`` objectives, with the static weights filled in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations, pairwise
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+__all__ = ["PreferenceSegments", "PreferenceSpace", "SamplingLaw"]
+
+SamplingLaw = Literal["dirichlet", "abs_normal"]
+
+
+@dataclass(frozen=True)
+class PreferenceSpace:
+    """The objectives of a vector reward and the preferences a user may have over them.
+
+    Instances hold no tensors: they are immutable, hashable and cheap to pickle, so that every
+    component can keep one.
+
+    Args:
+        objectives (Sequence[str]): the names of the ``K`` objectives, in the order of the reward
+            vector.
+        static (Mapping[str, float], optional): objectives with a constant weight, which no
+            preference changes. Stored as ``(name, weight)`` pairs in the order of ``objectives``.
+
+    Raises:
+        TypeError: if ``objectives`` is a single string.
+        ValueError: if there is no objective or no tunable one, if a name is empty, repeated or
+            (for ``static``) unknown, or if a static weight is not finite.
+
+    Example:
+        >>> import torch
+        >>> space = PreferenceSpace(("core", "distance", "efficiency"), static={"core": 1.0})
+        >>> space.num_objectives, space.tunable, space.tunable_indices
+        (3, ('distance', 'efficiency'), (1, 2))
+        >>> space.weights(torch.tensor([0.25, 0.75]))
+        tensor([1.0000, 0.2500, 0.7500])
+
+    """
+
+    objectives: tuple[str, ...]
+    static: tuple[tuple[str, float], ...] | Mapping[str, float] = ()
+
+    def __post_init__(self) -> None:
+        if isinstance(self.objectives, str):
+            raise TypeError(f"objectives must be a sequence of names, got {self.objectives!r}.")
+        objectives = tuple(self.objectives)
+        if not objectives:
+            raise ValueError("objectives must hold at least one name, got none.")
+        for position, name in enumerate(objectives):
+            if not isinstance(name, str) or not name:
+                raise ValueError(
+                    f"objectives[{position}] must be a non-empty string, got {name!r}."
+                )
+            if name in objectives[:position]:
+                raise ValueError(
+                    f"objectives[{position}] repeats {name!r}; every objective needs its own name."
+                )
+        static = dict(self.static)
+        for name, weight in static.items():
+            if name not in objectives:
+                raise ValueError(
+                    f"static objective {name!r} is not an objective; allowed: {objectives}."
+                )
+            if not math.isfinite(weight):
+                raise ValueError(f"the static weight of {name!r} must be finite, got {weight}.")
+        if len(static) == len(objectives):
+            raise ValueError(
+                f"all objectives {objectives} are static; at least one must be tunable."
+            )
+        # A tuple keeps the dataclass hashable, and the fixed order makes equal spaces compare
+        # equal.
+        pairs = tuple((name, float(static[name])) for name in objectives if name in static)
+        object.__setattr__(self, "objectives", objectives)
+        object.__setattr__(self, "static", pairs)
+
+    @property
+    def num_objectives(self) -> int:
+        """The length ``K`` of the reward vector."""
+        return len(self.objectives)
+
+    @property
+    def tunable(self) -> tuple[str, ...]:
+        """The names of the objectives that a preference weighs, in the order of its entries."""
+        return tuple(self.objectives[index] for index in self.tunable_indices)
+
+    @property
+    def num_tunable(self) -> int:
+        """The length ``T`` of a preference."""
+        return len(self.objectives) - len(self.static)
+
+    @property
+    def tunable_indices(self) -> tuple[int, ...]:
+        """The positions of the tunable objectives in the reward vector."""
+        static = dict(self.static)
+        return tuple(i for i, name in enumerate(self.objectives) if name not in static)
+
+    def validate(self, preference: Tensor | Sequence, *, tol: float = 1e-4) -> Tensor:
+        """Check that every row is a point of the simplex and return it as a floating point tensor.
+
+        Args:
+            preference (Tensor or nested sequence): preferences of shape ``[*B, T]``.
+
+        Keyword Args:
+            tol (float): how far the sum of a row may be from one.
+
+        Returns:
+            The preference, of shape ``[*B, T]``, with its values unchanged.
+
+        Raises:
+            ValueError: if the last dimension is not ``T``, if an entry is negative or not finite,
+                or if a row does not sum to one. The message names the value, where it stands and
+                what is allowed.
+
+        Example:
+            >>> space = PreferenceSpace(("distance", "efficiency"))
+            >>> space.validate([0.25, 0.75])
+            tensor([0.2500, 0.7500])
+            >>> space.validate([1.25, -0.25])
+            Traceback (most recent call last):
+            ...
+            ValueError: preference[1] = -0.25 for objective 'efficiency' must be finite and >= 0.
+
+        """
+        preference = torch.as_tensor(preference)
+        if not preference.is_floating_point():
+            preference = preference.to(torch.get_default_dtype())
+        self._check_shape(preference)
+        invalid = ~(preference.isfinite() & (preference >= 0))
+        if invalid.any():
+            position = tuple(invalid.nonzero()[0].tolist())
+            index = ", ".join(map(str, position))
+            raise ValueError(
+                f"preference[{index}] = {preference[position].item():g} for objective "
+                f"{self.tunable[position[-1]]!r} must be finite and >= 0."
+            )
+        total = preference.sum(-1)
+        invalid = (total - 1).abs() > tol
+        if invalid.any():
+            position = tuple(invalid.nonzero()[0].tolist())
+            index = f"[{', '.join(map(str, position))}]" if position else ""
+            raise ValueError(
+                f"preference{index} = {preference[position].tolist()} over {self.tunable} "
+                f"sums to {total[position].item():g}; it must sum to 1 within {tol:g}."
+            )
+        return preference
+
+    def weights(self, preference: Tensor) -> Tensor:
+        """Fill the static weights in, giving one weight per entry of the reward vector.
+
+        Differentiable and traceable by :func:`torch.compile`; values are not checked, for that see
+        :meth:`validate`.
+
+        Args:
+            preference (Tensor): preferences of shape ``[*B, T]``.
+
+        Returns:
+            Weights of shape ``[*B, K]``.
+
+        Raises:
+            ValueError: if the last dimension of the preference is not ``T``.
+
+        """
+        self._check_shape(preference)
+        static = dict(self.static)
+        tunable = iter(preference.unbind(-1))
+        columns = [
+            preference.new_full(preference.shape[:-1], static[name])
+            if name in static
+            else next(tunable)
+            for name in self.objectives
+        ]
+        return torch.stack(columns, -1)
+
+    def sample(
+        self,
+        shape: int | Iterable[int] = (),
+        law: SamplingLaw = "dirichlet",
+        generator: torch.Generator | None = None,
+        device: torch.device | str | None = None,
+    ) -> Tensor:
+        """Draw preferences at random.
+
+        Args:
+            shape (int or Iterable[int]): the batch shape ``*B``.
+            law (str): ``"dirichlet"`` is uniform on the simplex. ``"abs_normal"`` is the absolute
+                value of a standard normal vector divided by its sum, as in the code of PD-MORL
+                (https://arxiv.org/abs/2208.07914): denser in the middle, rarer at the corners (the
+                density is proportional to the Euclidean norm to the power ``-T``).
+            generator (torch.Generator, optional): the source of randomness.
+            device (torch.device, optional): where to create the tensor. Defaults to the device of
+                the generator, if any.
+
+        Returns:
+            Preferences of shape ``[*B, T]``.
+
+        Raises:
+            ValueError: if the law is unknown.
+
+        Example:
+            >>> import torch
+            >>> space = PreferenceSpace(("demo", "distance", "efficiency"))
+            >>> preference = space.sample((4, 2))
+            >>> preference.shape, bool(preference.sum(-1).allclose(torch.ones(4, 2)))
+            (torch.Size([4, 2, 3]), True)
+
+        """
+        _check_law(law)
+        shape = (shape,) if isinstance(shape, int) else tuple(shape)
+        if device is None and generator is not None:
+            device = generator.device
+        size = (*shape, self.num_tunable)
+        if self.num_tunable == 1:
+            return torch.ones(size, device=device)
+        if law == "dirichlet":
+            value = torch.empty(size, device=device).exponential_(generator=generator)
+        else:
+            value = torch.randn(size, generator=generator, device=device).abs()
+        return value / value.sum(-1, keepdim=True)
+
+    def corners(self) -> Tensor:
+        """The ``T`` preferences for one objective alone, shape ``[T, T]``."""
+        return torch.eye(self.num_tunable)
+
+    def lattice(self, divisions: int) -> Tensor:
+        """The regular lattice of the simplex, in lexicographic order.
+
+        Points are built from integers, so that none is lost to rounding (as when a grid of floats
+        is filtered by ``sum == 1``).
+
+        Args:
+            divisions (int): the number of steps along an edge, at least one.
+
+        Returns:
+            The ``binomial(divisions + T - 1, T - 1)`` preferences whose entries are multiples of
+            ``1 / divisions``, shape ``[N, T]``.
+
+        Raises:
+            ValueError: if there is less than one division.
+
+        Example:
+            >>> PreferenceSpace(("distance", "efficiency")).lattice(2)
+            tensor([[0.0000, 1.0000],
+                    [0.5000, 0.5000],
+                    [1.0000, 0.0000]])
+
+        """
+        if divisions < 1:
+            raise ValueError(f"divisions must be at least 1, got {divisions}.")
+        bars = self.num_tunable - 1
+        last = divisions + bars
+        rows = []
+        for places in combinations(range(last), bars):  # stars and bars
+            edges = (-1, *places, last)
+            rows.append([b - a - 1 for a, b in pairwise(edges)])
+        return torch.tensor(rows, dtype=torch.get_default_dtype()) / divisions
+
+    def pairwise_grid(self, steps: int = 11) -> Tensor:
+        """Preferences along every edge of the simplex: two objectives traded off, the others at 0.
+
+        For three tunable objectives and 11 steps these are the 33 test preferences of de Heuvel et
+        al. (https://arxiv.org/abs/2404.04857): ``(0, mu, 1 - mu)``, ``(mu, 1 - mu, 0)`` and
+        ``(1 - mu, 0, mu)`` for ``mu = 0, 0.1 ... 1``. Every corner appears once per edge that it
+        touches. Other ``T`` follow the same order: neighbours ``(T-2, T-1) ... (0, 1), (T-1, 0)``
+        first, then pairs further apart; ``T = 2`` has one edge and ``T = 1`` a single point.
+
+        Args:
+            steps (int): the number of preferences along an edge, at least two.
+
+        Returns:
+            Preferences of shape ``[T (T - 1) / 2 * steps, T]``; ``[1, 1]`` for ``T = 1``.
+
+        Raises:
+            ValueError: if there are less than two steps.
+
+        Example:
+            >>> PreferenceSpace(("distance", "efficiency")).pairwise_grid(3)
+            tensor([[0.0000, 1.0000],
+                    [0.5000, 0.5000],
+                    [1.0000, 0.0000]])
+
+        """
+        if steps < 2:
+            raise ValueError(f"steps must be at least 2, got {steps}.")
+        size = self.num_tunable
+        if size == 1:
+            return torch.ones(1, 1)
+        edges: dict[frozenset[int], tuple[int, int]] = {}
+        for gap in range(1, size // 2 + 1):
+            for first in range(size - 2, -2, -1):
+                pair = (first % size, (first + gap) % size)
+                edges.setdefault(frozenset(pair), pair)  # opposite pairs come up twice
+        grid = torch.zeros(len(edges), steps, size)
+        rise = torch.arange(steps) / (steps - 1)
+        for row, (first, second) in zip(grid, edges.values(), strict=True):
+            row[:, first] = rise
+            row[:, second] = rise.flip(0)
+        return grid.flatten(0, 1)
+
+    def segments(self, num_segments: int) -> PreferenceSegments:
+        """Cut the simplex in cells of equal probability, see :class:`PreferenceSegments`."""
+        return PreferenceSegments(self, num_segments)
+
+    def _check_shape(self, preference: Tensor) -> None:
+        if preference.ndim == 0 or preference.shape[-1] != self.num_tunable:
+            raise ValueError(
+                f"preference must have shape [..., {self.num_tunable}] for the tunable objectives "
+                f"{self.tunable}, got {list(preference.shape)}."
+            )
+
+
+@dataclass(frozen=True)
+class PreferenceSegments:
+    """A partition of the simplex in ``C_p`` cells of equal probability under the Dirichlet(1) law.
+
+    PD-MORL (https://arxiv.org/abs/2208.07914) gives every parallel environment its own part of the
+    preference space, so that one batch always covers all of it. Its code cuts a sorted grid into
+    slabs along the first objective; here:
+
+    - ``C_p = T``: cell ``i`` holds the preferences whose largest entry is the ``i``-th (ties: the
+      first of them), i.e. those nearest to corner ``i``.
+    - Otherwise: under Dirichlet(1) the sticks ``b_i = p_i / (1 - p_1 - ... - p_{i-1})`` are
+      independent and Beta(1, T - i), so ``u_i = 1 - (1 - b_i)^(T - i)`` maps the simplex onto the
+      unit cube of ``T - 1`` dimensions and keeps probability. The cube is cut recursively across
+      the longest side of a box, in proportion to the cells that each part still has to hold, which
+      gives ``C_p`` boxes of volume ``1 / C_p``. For ``T = 2`` these are intervals of the first
+      entry.
+    - ``T = 1``: the simplex is one point, which every segment is; its index is 0.
+
+    Args:
+        space (PreferenceSpace): the space to cut.
+        num_segments (int): the number ``C_p`` of cells, at least one.
+
+    Raises:
+        ValueError: if there is less than one segment.
+
+    Example:
+        >>> import torch
+        >>> segments = PreferenceSpace(("demo", "distance", "efficiency")).segments(3)
+        >>> segments.index(torch.tensor([[0.8, 0.1, 0.1], [0.2, 0.3, 0.5]]))
+        tensor([0, 2])
+        >>> segments.index(segments.sample(torch.tensor([0, 1, 2, 0])))
+        tensor([0, 1, 2, 0])
+
+    """
+
+    space: PreferenceSpace
+    num_segments: int
+
+    def __post_init__(self) -> None:
+        if self.num_segments < 1:
+            raise ValueError(f"num_segments must be at least 1, got {self.num_segments}.")
+
+    def index(self, preference: Tensor) -> Tensor:
+        """The cell of each preference.
+
+        Args:
+            preference (Tensor): preferences of shape ``[*B, T]``.
+
+        Returns:
+            Indices in ``[0, C_p)`` of shape ``[*B]``, dtype long.
+
+        """
+        self.space._check_shape(preference)
+        if self.num_segments == self.space.num_tunable:
+            return preference.argmax(-1)
+        cube = _simplex_to_cube(preference.double()).unsqueeze(-2)
+        lower, upper = self._boxes(preference.device)
+        # Half-open boxes, closed at the far faces of the cube, make the cells disjoint and
+        # exhaustive.
+        inside = (cube >= lower) & ((cube < upper) | (upper == 1))
+        return inside.all(-1).long().argmax(-1)
+
+    def sample(
+        self,
+        segment_index: Tensor,
+        law: SamplingLaw = "dirichlet",
+        generator: torch.Generator | None = None,
+    ) -> Tensor:
+        """Draw one preference from each of the given cells.
+
+        Args:
+            segment_index (Tensor): cells in ``[0, C_p)``, of shape ``[*B]`` and dtype long.
+            law (str): the law to condition on the cell, see :meth:`PreferenceSpace.sample`.
+            generator (torch.Generator, optional): the source of randomness, on the device of
+                ``segment_index``.
+
+        Returns:
+            Preferences of shape ``[*B, T]`` on the device of ``segment_index``.
+
+        Raises:
+            ValueError: if the law is unknown.
+
+        """
+        _check_law(law)
+        size = self.space.num_tunable
+        if size == 1 or self.num_segments == 1:
+            return self.space.sample(segment_index.shape, law, generator, segment_index.device)
+        if self.num_segments == size:
+            # Both laws are exchangeable, so swapping the largest entry with the wanted one leaves
+            # the law within the cell.
+            drawn = self.space.sample(segment_index.shape, law, generator, segment_index.device)
+            wanted = segment_index.unsqueeze(-1)
+            largest = drawn.argmax(-1, keepdim=True)
+            swapped = drawn.scatter(-1, largest, drawn.gather(-1, wanted))
+            return swapped.scatter(-1, wanted, drawn.gather(-1, largest))
+        flat = segment_index.flatten()
+        preference = self._sample_boxes(flat, generator)
+        if law == "abs_normal":
+            self._reject(preference, flat, generator)
+        return preference.to(torch.get_default_dtype()).reshape(*segment_index.shape, size)
+
+    def _sample_boxes(self, flat_index: Tensor, generator: torch.Generator | None) -> Tensor:
+        lower, upper = self._boxes(flat_index.device)
+        lower, upper = lower[flat_index], upper[flat_index]
+        uniform = torch.rand(
+            lower.shape, dtype=torch.double, generator=generator, device=flat_index.device
+        )
+        return _cube_to_simplex(lower + (upper - lower) * uniform)
+
+    def _reject(
+        self, preference: Tensor, flat_index: Tensor, generator: torch.Generator | None
+    ) -> None:
+        # With respect to Dirichlet(1) the density of |n| / |n|_1 is proportional to |p|_2^-T, which
+        # is largest in the centre, T^(T/2): in any cell a Dirichlet draw is thus kept with
+        # probability (T |p|_2^2)^(-T/2).
+        size = self.space.num_tunable
+        pending = torch.arange(len(flat_index), device=flat_index.device)
+        while len(pending):
+            squared_norm = preference[pending].pow(2).sum(-1)
+            accept = torch.rand(
+                len(pending), dtype=torch.double, generator=generator, device=flat_index.device
+            ) < (size * squared_norm).pow(-size / 2)
+            pending = pending[~accept]
+            preference[pending] = self._sample_boxes(flat_index[pending], generator)
+
+    def _boxes(self, device: torch.device) -> tuple[Tensor, Tensor]:
+        boxes = torch.tensor(
+            _equal_boxes(self.space.num_tunable - 1, self.num_segments),
+            dtype=torch.double,
+            device=device,
+        ).reshape(self.num_segments, 2, -1)
+        return boxes[:, 0], boxes[:, 1]
+
+
+def _check_law(law: str) -> None:
+    if law not in get_args(SamplingLaw):
+        raise ValueError(f"law must be one of {get_args(SamplingLaw)}, got {law!r}.")
+
+
+@lru_cache(maxsize=64)
+def _equal_boxes(dim: int, count: int) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+    """Cut the unit cube into ``count`` boxes ``(lower, upper)`` of the same volume."""
+
+    def cut(lower: tuple[float, ...], upper: tuple[float, ...], cells: int) -> list:
+        if cells == 1 or not dim:
+            return [(lower, upper)] * cells
+        sides = [b - a for a, b in zip(lower, upper, strict=True)]
+        axis = sides.index(max(sides))
+        first = cells // 2
+        middle = lower[axis] + sides[axis] * first / cells
+        return [
+            *cut(lower, (*upper[:axis], middle, *upper[axis + 1 :]), first),
+            *cut((*lower[:axis], middle, *lower[axis + 1 :]), upper, cells - first),
+        ]
+
+    return tuple(cut((0.0,) * dim, (1.0,) * dim, count))
+
+
+def _powers(size: int, like: Tensor) -> Tensor:
+    return torch.arange(size - 1, 0, -1, dtype=like.dtype, device=like.device)
+
+
+def _simplex_to_cube(preference: Tensor) -> Tensor:
+    # What is left of the stick before each piece, summed from the far end: no cancellation there.
+    left = preference.flip(-1).cumsum(-1).flip(-1)
+    kept = left[..., 1:] / left[..., :-1]
+    # An exhausted stick has no next piece; any cell on that boundary would do, 0 is the first one.
+    kept = torch.where(left[..., :-1] > 0, kept, torch.ones_like(kept))
+    return (1 - kept.pow(_powers(preference.shape[-1], preference))).clamp(0, 1)
+
+
+def _cube_to_simplex(cube: Tensor) -> Tensor:
+    size = cube.shape[-1] + 1
+    kept = (1 - cube).pow(1 / _powers(size, cube))
+    before = torch.cat([torch.ones_like(kept[..., :1]), kept.cumprod(-1)], -1)
+    return torch.cat([before[..., :-1] * (1 - kept), before[..., -1:]], -1)

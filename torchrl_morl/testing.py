@@ -1,0 +1,156 @@
+"""A small vector-reward environment for tests and examples."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+__all__ = ["VectorRewardMockEnv"]
+
+
+class VectorRewardMockEnv(EnvBase):
+    """A point in the unit square with one target per objective.
+
+    Actions move the point by at most 0.1 per axis; the reward of objective ``k`` is minus the
+    distance to its target, so the best place to be depends on the preference. Targets lie evenly on
+    a circle around the origin. Episodes are truncated after ``horizon + i`` steps in environment
+    ``i`` of the flattened batch, so that resets are partial.
+
+    Args:
+        num_objectives (int): the number ``K`` of objectives.
+
+    Keyword Args:
+        batch_size (tuple of int): the batch shape ``*B``; ``()`` for a single environment.
+        horizon (int): the number of steps in an episode of the first environment.
+        prefix (str, optional): nests ``observation``, ``action``, ``reward`` and the sensors under
+            this key.
+        polar (bool): adds ``goal`` and ``human``, of shape ``[*B, 2]``: metres in [0, 10] and
+            radians in [-pi, pi].
+        num_rays (int): adds ``scan``, of shape ``[*B, num_rays]``: metres in [0, 4]. Nothing is
+            added for 0.
+        seed (int, optional): the seed of the initial positions and the sensors.
+        device (torch.device, optional): where tensors live.
+
+    Example:
+        >>> env = VectorRewardMockEnv(3, batch_size=(4,), seed=0)
+        >>> env.rollout(10, break_when_any_done=False)["next", "reward"].shape
+        torch.Size([4, 10, 3])
+
+    """
+
+    def __init__(
+        self,
+        num_objectives: int = 3,
+        *,
+        batch_size: tuple[int, ...] = (),
+        horizon: int = 5,
+        prefix: str | None = None,
+        polar: bool = False,
+        num_rays: int = 0,
+        seed: int | None = None,
+        device: torch.device | str | None = None,
+    ) -> None:
+        super().__init__(device=device, batch_size=torch.Size(batch_size))
+        self.prefix = prefix
+        self.polar = polar
+        self.num_rays = num_rays
+        angle = torch.arange(num_objectives, device=device) * (2 * math.pi / num_objectives)
+        self.targets = torch.stack([angle.cos(), angle.sin()], -1)
+        num_envs = self.batch_size.numel()
+        self.horizon = horizon + torch.arange(num_envs, device=device).reshape(*self.batch_size, 1)
+        self._position = torch.zeros(*self.batch_size, 2, device=device)
+        self._count = torch.zeros_like(self.horizon)
+        self._generator = torch.Generator()
+        self._set_seed(seed)
+
+        observations = {"observation": Bounded(-1.0, 1.0, shape=self._shape(2), device=device)}
+        if polar:
+            low = torch.tensor([0.0, -math.pi], device=device).expand(self._shape(2))
+            high = torch.tensor([10.0, math.pi], device=device).expand(self._shape(2))
+            observations |= {key: Bounded(low, high, device=device) for key in ("goal", "human")}
+        if num_rays:
+            observations["scan"] = Bounded(0.0, 4.0, shape=self._shape(num_rays), device=device)
+        self.observation_spec = self._composite(observations)
+        self.action_spec = self._composite(
+            {"action": Bounded(-1.0, 1.0, shape=self._shape(2), device=device)}
+        )
+        self.reward_spec = self._composite(
+            {"reward": Unbounded(self._shape(num_objectives), device=device)}
+        )
+        flag = Binary(1, shape=self._shape(1), dtype=torch.bool, device=device)
+        self.done_spec = Composite(
+            {key: flag.clone() for key in ("done", "terminated", "truncated")},
+            shape=self.batch_size,
+            device=device,
+        )
+
+    def key(self, name: str) -> NestedKey:
+        """The full key of an observation, the action or the reward.
+
+        Args:
+            name (str): its last part.
+
+        Returns:
+            The name, behind the prefix if there is one.
+
+        """
+        return name if self.prefix is None else (self.prefix, name)
+
+    def _shape(self, size: int) -> tuple[int, ...]:
+        return (*self.batch_size, size)
+
+    def _composite(self, specs: dict) -> Composite:
+        composite = Composite(specs, shape=self.batch_size, device=self.device)
+        if self.prefix is None:
+            return composite
+        return Composite({self.prefix: composite}, shape=self.batch_size, device=self.device)
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is not None:
+            self._generator.manual_seed(seed)
+
+    def _rand(self, size: int) -> Tensor:
+        return torch.rand(self._shape(size), generator=self._generator).to(self.device)
+
+    def _observe(self) -> TensorDict:
+        tensordict = TensorDict(batch_size=self.batch_size, device=self.device)
+        tensordict.set(self.key("observation"), self._position.clone())
+        if self.polar:
+            for name in ("goal", "human"):
+                distance, turn = self._rand(2).unbind(-1)
+                value = torch.stack([10 * distance, math.pi * (2 * turn - 1)], -1)
+                tensordict.set(self.key(name), value)
+        if self.num_rays:
+            tensordict.set(self.key("scan"), 4 * self._rand(self.num_rays))
+        return tensordict
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDict:
+        reset = None if tensordict is None else tensordict.get("_reset", None)
+        if reset is None:
+            reset = torch.ones_like(self._count, dtype=torch.bool)
+        reset = reset.reshape(self._count.shape)
+        self._position = torch.where(reset, 2 * self._rand(2) - 1, self._position)
+        self._count = torch.where(reset, torch.zeros_like(self._count), self._count)
+        return self._observe()
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        self._position = (self._position + 0.1 * tensordict[self.key("action")]).clamp(-1, 1)
+        self._count = self._count + 1
+        tensordict = self._observe()
+        distance = (self._position.unsqueeze(-2) - self.targets).norm(dim=-1)
+        tensordict.set(self.key("reward"), -distance)
+        truncated = self._count >= self.horizon
+        tensordict.update(
+            {
+                "done": truncated,
+                "truncated": truncated.clone(),
+                "terminated": torch.zeros_like(truncated),
+            }
+        )
+        return tensordict

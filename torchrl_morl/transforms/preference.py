@@ -1,0 +1,275 @@
+"""Preferences drawn at reset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from multiprocessing import parent_process
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey, unravel_key
+from torch import Tensor
+from torchrl.data import Bounded, Composite
+from torchrl.envs.transforms import Transform
+
+from torchrl_morl.preferences import PreferenceSpace, SamplingLaw, _check_law
+
+__all__ = ["PreferenceSampler"]
+
+
+class _RandomPreferences(Transform):
+    """A transform that draws preferences from a generator of its own, kept in the state dict."""
+
+    def __init__(
+        self, space: PreferenceSpace, law: SamplingLaw, seed: int | None, **keys: list[NestedKey]
+    ) -> None:
+        super().__init__(**keys)
+        _check_law(law)
+        self.space = space
+        self.law = law
+        self.generator = None if seed is None else torch.Generator().manual_seed(seed)
+
+    def clone(self) -> Transform:
+        clone = super().clone()
+        if self.generator is not None:
+            # The base class shares attributes: a clone would take draws away from the original.
+            clone.generator = self.generator.clone_state()
+        return clone
+
+    def get_extra_state(self) -> Tensor:
+        """The state of the generator; empty if the global one is used."""
+        if self.generator is None:
+            return torch.empty(0, dtype=torch.uint8)
+        return self.generator.get_state()
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Restore the state of the generator."""
+        if not state.numel():
+            self.generator = None
+            return
+        if self.generator is None:
+            self.generator = torch.Generator()
+        self.generator.set_state(state.cpu())
+
+    def _sample(self, shape: Sequence[int], like: Tensor) -> Tensor:
+        # Drawn on the CPU, where the generator lives, so that one seed gives one stream on any
+        # device.
+        drawn = self.space.sample(shape, self.law, self.generator, "cpu")
+        return drawn.to(device=like.device, dtype=like.dtype)
+
+
+class PreferenceSampler(_RandomPreferences):
+    """Draw a preference for every episode and carry it through the episode.
+
+    - At reset each environment that is being reset gets a new preference; partial resets leave the
+      others alone.
+    - A preference in the tensordict given to ``env.reset(tensordict)`` is validated and used
+      instead of a draw, also where :meth:`fixed` was asked for. Automatic resets (rollouts,
+      collectors) hide the old preference, so they draw.
+    - During the episode the preference of the next step is that of the current one. Writing
+      ``tensordict["preference"]`` between two steps changes it from that step on, until the episode
+      ends; such values are not validated.
+
+    The key is in the observation and in the state specs, with entries in [0, 1]. As a module or in
+    a replay buffer the transform adds a preference where there is none, at the root and in
+    ``"next"``, and leaves a given one alone.
+
+    Place it outside of a :class:`~torchrl.envs.SerialEnv` or :class:`~torchrl.envs.ParallelEnv` if
+    you can: inside, every worker has a sampler of its own, and those with the same seed draw the
+    same preferences.
+
+    Args:
+        space (PreferenceSpace): the preferences to draw from.
+
+    Keyword Args:
+        law (str): see :meth:`PreferenceSpace.sample`.
+        num_segments (int, optional): the environment of index ``i`` in the flattened batch draws
+            from cell ``i % num_segments`` of :class:`~torchrl_morl.preferences.PreferenceSegments`,
+            as in PD-MORL (https://arxiv.org/abs/2208.07914). Defaults to the whole simplex.
+        preference_key (NestedKey): where to write preferences, of shape ``[*B, T]``.
+        reset_key (NestedKey, optional): the reset mask. Only environments that reset themselves and
+            have several masks need it; others may leave it out.
+        seed (int, optional): the seed of the transform's own generator, whose state is in the state
+            dict. Without one, draws come from the global generator of torch or, in a worker
+            process, from a generator seeded by the operating system. ``env.set_seed`` does not
+            reach transforms in TorchRL 0.14.
+
+    Raises:
+        ValueError: if the law is unknown or there is less than one segment; at reset, if a given
+            preference is invalid or if the fixed preferences do not fit the batch.
+
+    Example:
+        >>> from torchrl.envs import TransformedEnv
+        >>> from torchrl_morl.testing import VectorRewardMockEnv
+        >>> space = PreferenceSpace(("distance", "efficiency"))
+        >>> sampler = PreferenceSampler(space, seed=0)
+        >>> env = TransformedEnv(VectorRewardMockEnv(2, batch_size=(4,)), sampler)
+        >>> tensordict = env.reset()
+        >>> tensordict["preference"].shape
+        torch.Size([4, 2])
+        >>> tensordict["preference"] = space.validate([[0.25, 0.75]] * 4)
+        >>> env.reset(tensordict)["preference"][0]
+        tensor([0.2500, 0.7500])
+
+    """
+
+    def __init__(
+        self,
+        space: PreferenceSpace,
+        *,
+        law: SamplingLaw = "dirichlet",
+        num_segments: int | None = None,
+        preference_key: NestedKey = "preference",
+        reset_key: NestedKey | None = None,
+        seed: int | None = None,
+    ) -> None:
+        super().__init__(space, law, seed, in_keys=[], out_keys=[preference_key])
+        self.segments = None if num_segments is None else space.segments(num_segments)
+        self.preference_key = unravel_key(preference_key)
+        self.reset_key = None if reset_key is None else unravel_key(reset_key)
+        self.register_buffer("preferences", None)
+
+    @classmethod
+    def fixed(
+        cls,
+        space: PreferenceSpace,
+        preferences: Tensor | Sequence,
+        *,
+        preference_key: NestedKey = "preference",
+        reset_key: NestedKey | None = None,
+    ) -> PreferenceSampler:
+        """Give the same preference at every reset, for instance one per environment of a test grid.
+
+        Args:
+            space (PreferenceSpace): the space that the preferences belong to.
+            preferences (Tensor or nested sequence): one preference for all, of shape ``[T]``, or
+                one row per environment in the order of the flattened batch, of shape ``[N, T]``.
+
+        Keyword Args:
+            preference_key (NestedKey): see the class.
+            reset_key (NestedKey, optional): see the class.
+
+        Returns:
+            A sampler that draws nothing.
+
+        Raises:
+            ValueError: if a preference is invalid.
+
+        Example:
+            >>> from torchrl.envs import TransformedEnv
+            >>> from torchrl_morl.testing import VectorRewardMockEnv
+            >>> space = PreferenceSpace(("distance", "efficiency"))
+            >>> grid = space.pairwise_grid(3)
+            >>> sampler = PreferenceSampler.fixed(space, grid)
+            >>> env = TransformedEnv(VectorRewardMockEnv(2, batch_size=(3,)), sampler)
+            >>> bool((env.reset()["preference"] == grid).all())
+            True
+
+        """
+        sampler = cls(space, preference_key=preference_key, reset_key=reset_key)
+        sampler.preferences = space.validate(preferences).to(torch.get_default_dtype())
+        return sampler
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Add a preference to a tensordict that has none.
+
+        Args:
+            tensordict (TensorDictBase): data of shape ``[*B]``.
+
+        Returns:
+            The same tensordict; ``"next"``, if it is there, holds the preference of the root.
+
+        """
+        preference = tensordict.get(self.preference_key, None)
+        if preference is None:
+            preference = self._draw(tensordict)
+            tensordict.set(self.preference_key, preference)
+            if "next" in tensordict:
+                tensordict.set(("next", self.preference_key), preference.clone())
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        # A clone, so that writing to the next preference in place cannot alter what is stored of
+        # this step.
+        next_tensordict.set(self.preference_key, tensordict[self.preference_key].clone())
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        # There is a row for every environment; `env.reset` keeps those that the mask selects.
+        preference = tensordict.get(self.preference_key, None)
+        if preference is None:
+            preference = self._draw(tensordict_reset)
+        else:
+            expected = (*tensordict_reset.batch_size, self.space.num_tunable)
+            if preference.shape != expected:
+                raise ValueError(
+                    f"{self.preference_key!r} must have shape {list(expected)} at reset, got "
+                    f"{list(preference.shape)}."
+                )
+            preference = self.space.validate(preference).to(torch.get_default_dtype())
+        tensordict_reset.set(self.preference_key, preference)
+        return tensordict_reset
+
+    def _reset_on_native_autoreset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        # Here the tensordict holds the preference of the episode that has ended.
+        reset_key = self.reset_key
+        if reset_key is None:
+            reset_keys = self.parent.reset_keys
+            if len(reset_keys) > 1:
+                raise ValueError(f"reset_key must be one of the reset keys {reset_keys}.")
+            reset_key = reset_keys[0]
+        current = tensordict[self.preference_key]
+        mask = tensordict[reset_key].reshape(*tensordict.batch_size, -1).any(-1, keepdim=True)
+        preference = torch.where(mask, self._draw(tensordict_reset), current)
+        tensordict_reset.set(self.preference_key, preference)
+        return tensordict_reset
+
+    def _draw(self, tensordict: TensorDictBase) -> Tensor:
+        batch, device = tensordict.batch_size, tensordict.device
+        if self.preferences is not None:
+            fixed = self.preferences.to(device)
+            if fixed.ndim == 1:
+                return fixed.repeat(*batch, 1) if batch else fixed.clone()
+            if fixed[..., 0].numel() != batch.numel():
+                raise ValueError(
+                    f"{fixed[..., 0].numel()} fixed preferences do not fit a batch of "
+                    f"{batch.numel()} environments."
+                )
+            return fixed.reshape(*batch, -1).clone()
+        if self.generator is None and parent_process() is not None:
+            # Forked or spawned, all workers start with the same global state: without this they
+            # would go through the same preferences in lockstep.
+            self.generator = torch.Generator()
+            self.generator.seed()
+        if self.segments is None:
+            preference = self.space.sample(batch, self.law, self.generator, "cpu")
+        else:
+            index = torch.arange(batch.numel()).reshape(batch) % self.segments.num_segments
+            preference = self.segments.sample(index, self.law, self.generator)
+        return preference.to(device)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        return self._add_spec(observation_spec)
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        # Only keys of the state spec reach `_reset`, and the workers of a batched environment.
+        return self._add_spec(state_spec)
+
+    def _add_spec(self, spec: Composite) -> Composite:
+        spec = spec.clone()
+        shape = (*spec.shape, self.space.num_tunable)
+        spec[self.preference_key] = Bounded(0.0, 1.0, shape=shape, device=spec.device)
+        return spec
+
+    def _check_batched_worker_compat(self) -> None:
+        num_envs = self.parent.batch_size.numel()
+        if self.segments is not None and num_envs < self.segments.num_segments:
+            raise ValueError(
+                f"a worker of {num_envs} environment(s) never reaches the last of "
+                f"{self.segments.num_segments} segments: place the PreferenceSampler outside of "
+                "the batched environment."
+            )
