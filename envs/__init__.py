@@ -2,6 +2,7 @@
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
 from .navigation import NavigationEnv, Perturbation
+from .rendering import Camera
 from .robots import HSR, ROBOTS, TURTLEBOT2, Robot, get_robot
 from .scenes import (
     CORRIDOR,
@@ -27,6 +28,7 @@ __all__ = [
     "STATIC",
     "TURTLEBOT2",
     "BatchedMujocoEnv",
+    "Camera",
     "NavigationEnv",
     "Perturbation",
     "PhysicsState",

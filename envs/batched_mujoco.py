@@ -269,7 +269,15 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
         else:
             ids = mask.reshape(self.num_envs).cpu().nonzero().squeeze(-1)
         set_state = bool(kwargs.get("set_state")) and tensordict is not None
-        set_state = set_state and all(key in tensordict.keys() for key in ("qpos", "qvel"))
+        if set_state:
+            given = set(tensordict.keys(include_nested=True, leaves_only=True))
+            missing = set(self.state_spec.keys(include_nested=True, leaves_only=True)) - given
+            if missing:
+                names = sorted(".".join(key) if isinstance(key, tuple) else key for key in missing)
+                raise ValueError(
+                    f"The snapshot lacks {names}: pass a whole row of a rollout, or set_state=False "
+                    "for a new episode."
+                )
         self.batch.reset(ids.numpy(), stage=0)
         if set_state:
             self._load_snapshot(ids, tensordict)

@@ -33,7 +33,8 @@ _PLANAR_ACTUATORS = """
     <velocity name="no_slip" site="base" gear="0 1 0 0 0 0" kv="{kv_lateral}"/>"""
 
 # Sphere wheels touch the floor in a point; the contact of a cylinder wanders along its edge and
-# makes the base turn several percent too slowly. The casters slide.
+# makes the base turn several percent too slowly. The casters slide: a contact takes the larger
+# condim of its two geoms, so the floor leaves the choice to them with condim 1.
 _WHEELS = """
     <body name="robot" pos="0 0 0">
       <freejoint name="base"/>
@@ -61,14 +62,15 @@ _WHEELS_ACTUATORS = """
 _WORLD = """
 <mujoco model="navigation">
   <compiler angle="radian"/>
-  <option timestep="{timestep}" integrator="implicitfast" gravity="0 0 {gravity}"/>
+  <option timestep="{timestep}" integrator="{integrator}" gravity="0 0 {gravity}"/>
   <visual>
-    <global offwidth="1920" offheight="1080"/>
-    <quality shadowsize="0" offsamples="0"/>
-    <headlight ambient="0.45 0.45 0.45" diffuse="0.5 0.5 0.5" specular="0 0 0"/>
+    <quality shadowsize="0"/>
+    <headlight ambient="0.5 0.5 0.5" diffuse="0.2 0.2 0.2" specular="0 0 0"/>
     <map znear="0.01" zfar="60"/>
   </visual>
   <asset>
+    <texture type="skybox" builtin="gradient" rgb1="0.80 0.88 0.95" rgb2="0.97 0.97 0.96"
+             width="256" height="256"/>
     <texture name="floor" type="2d" builtin="checker" rgb1="0.93 0.93 0.91" rgb2="0.88 0.88 0.86"
              width="256" height="256"/>
     <material name="floor" texture="floor" texrepeat="1 1" texuniform="true"/>
@@ -88,20 +90,21 @@ _WORLD = """
   </default>
   <worldbody>
     <geom name="floor" type="plane" size="40 40 0.1" material="floor" group="2" {floor_contact}/>
-    <camera name="top" pos="4.5 0 14" xyaxes="1 0 0 0 1 0" fovy="45"/>{robot}
+    <light directional="true" pos="0 0 10" dir="0.3 0.2 -0.9" ambient="0 0 0"
+           diffuse="0.35 0.35 0.35" specular="0 0 0" castshadow="false"/>{robot}
     <body name="human" mocap="true">
       <geom name="human" class="obstacle" type="cylinder" pos="0 0 {human_half}"
-            size="{human_radius} {human_half}" rgba="0.80 0.22 0.22 1"/>
+            size="{human_radius} {human_half}" rgba="0.84 0.37 0.0 1"/>
       <geom class="decoration" type="sphere" pos="0 0 {human_height}" size="0.13"
             rgba="0.95 0.78 0.65 1"/>
-      <geom class="decoration" type="capsule" fromto="0.05 0 {human_height} 0.32 0 {human_height}"
-            size="0.035" rgba="0.80 0.22 0.22 1"/>
+      <geom class="decoration" type="capsule" fromto="0.05 0 {human_height} 0.38 0 {human_height}"
+            size="0.05" rgba="0.25 0.10 0.0 1"/>
     </body>
     <body name="goal" mocap="true">
       <geom class="decoration" type="cylinder" pos="0 0 0.005" size="{goal_radius} 0.005"
-            rgba="0.15 0.45 0.90 0.55"/>
+            rgba="0.0 0.62 0.45 0.6"/>
       <geom class="decoration" type="cylinder" pos="0 0 0.3" size="0.03 0.3"
-            rgba="0.15 0.45 0.90 1"/>
+            rgba="0.0 0.62 0.45 1"/>
     </body>{boxes}
   </worldbody>
   <actuator>{actuators}
@@ -112,12 +115,12 @@ _WORLD = """
 _BOX = """
     <body name="box{index}" mocap="true">
       <geom name="box{index}" class="obstacle" type="box" pos="0 0 {half}" size="0.3 0.3 {half}"
-            rgba="0.55 0.47 0.38 1"/>
+            rgba="0.60 0.60 0.62 1"/>
     </body>"""
 
-_DECORATION = """<geom class="decoration" type="box" pos="{nose} 0 {top}" size="0.05 0.03 0.02"
-            rgba="1.0 0.75 0.1 1"/>
-      <camera name="chase" pos="-2.2 0 {chase}" xyaxes="0 -1 0 0.45 0 0.9" fovy="60"/>"""
+# A bright bar on top of the robot points where it is heading.
+_DECORATION = """<geom class="decoration" type="capsule" size="{bar}"
+            fromto="{tail} 0 {top} {nose} 0 {top}" rgba="1.0 0.80 0.1 1"/>"""
 
 
 def time_step(drive: Drive) -> float:
@@ -160,21 +163,27 @@ def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: 
         "wheel_radius": robot.wheel_radius,
         "kv_forward": robot.mass / robot.linear_response,
         "kv_turn": inertia / robot.angular_response,
-        # Fifty times stiffer than needed to follow commands: sideways motion is below 1 mm/s.
+        # No slip: the velocity follows the heading, one time step late in a turn.
         "kv_lateral": 800.0 * robot.mass,
         # A wheel carries half the mass at its rim.
         "kv_wheel": 0.5 * robot.mass * robot.wheel_radius**2 / robot.linear_response,
     }
     base_height = half_height if drive == "planar" else 0.0
     top = robot.height - base_height + (0.0 if drive == "planar" else ground_clearance)
-    decoration = _DECORATION.format(nose=0.7 * robot.radius, top=top, chase=top + 1.3)
+    bar = 0.22 * robot.radius
+    decoration = _DECORATION.format(
+        bar=bar, tail=-0.1 * robot.radius, nose=robot.radius - bar, top=top
+    )
     body, actuators = (
         (_PLANAR, _PLANAR_ACTUATORS) if drive == "planar" else (_WHEELS, _WHEELS_ACTUATORS)
     )
     return _WORLD.format(
         timestep=time_step(drive),
+        # implicitfast leaves out the servos' coupling of the two slides, which the mass matrix lacks:
+        # the base would accelerate up to ten times more slowly when not heading along an axis.
+        integrator="implicit" if drive == "planar" else "implicitfast",
         gravity=0 if drive == "planar" else -9.81,
-        floor_contact="" if drive == "planar" else 'contype="4" conaffinity="1"',
+        floor_contact="" if drive == "planar" else 'contype="4" conaffinity="1" condim="1"',
         robot=body.format(decoration=decoration, **values),
         actuators=actuators.format(**values),
         human_half=HUMAN_HEIGHT / 2 - 0.06,

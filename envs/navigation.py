@@ -57,7 +57,7 @@ class Perturbation:
     latency: int = 0
 
     def __post_init__(self) -> None:
-        if self.range_noise < 0 or self.velocity_noise < 0:
+        if not (self.range_noise >= 0 and self.velocity_noise >= 0):
             raise ValueError(f"Noise must not be negative, got {self}.")
         if not 0 <= self.dropout <= 1:
             raise ValueError(f"dropout is a probability in [0, 1], got {self.dropout}.")
@@ -426,10 +426,10 @@ class NavigationEnv(BatchedMujocoEnv):
             return super()._camera(camera, index, aspect)
         x, y, yaw = self._pose(self._view["qpos"][index : index + 1])[0].tolist()
         if camera == "chase":
-            ahead, height = 1.2, 0.5 * self.robot.height
+            ahead, height = 1.5, 0.5 * self.robot.height + 0.3
             lookat = (x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), height)
-            distance = 2.6 + self.robot.height
-            return Camera(lookat, math.degrees(yaw), -28.0, distance, fovy=55.0)
+            distance = 3.6 + self.robot.height
+            return Camera(lookat, math.degrees(yaw), -24.0, distance)
         (left, bottom), (right, top) = self._extent[index].tolist()
         # Fixed during an episode, unless the robot leaves.
         left, right = min(left, x - _MARGIN), max(right, x + _MARGIN)

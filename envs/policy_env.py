@@ -13,7 +13,7 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
-from torchrl_morl.transforms import LidarMinPool, PolarFeatures, PreferenceSampler
+from torchrl_morl.transforms import CheckFinite, LidarMinPool, PolarFeatures, PreferenceSampler
 
 from .navigation import NavigationEnv
 
@@ -34,10 +34,13 @@ def policy_transforms(max_range: float = 4.0) -> Compose:
     33 to 35    human: distance / 5 m, sine and cosine of its bearing
     ==========  =====================================================================
 
-    The policy's ``action`` is in [-1, 1]; the environment gets it in m/s and rad/s.
+    The policy's ``action`` is in [-1, 1]; the environment gets it in m/s and rad/s. A sensor value
+    that is not finite raises ``ValueError``.
     """
     return Compose(
         ActionScaling(),
+        # First, so that an error names the sensor and the ray.
+        CheckFinite(["scan", "goal", "human"]),
         LidarMinPool(NUM_SECTORS),
         ObservationNorm(
             loc=-1.0, scale=1.0 / max_range, in_keys=["lidar"], out_keys=["lidar_features"]

@@ -2,11 +2,12 @@
 
 MuJoCo fixes its OpenGL backend when it is imported, from ``MUJOCO_GL``, and without that variable
 takes the one that needs a display. Here the backend is chosen at the first picture: the one that
-``MUJOCO_GL`` names by then, otherwise the first that works.
+``MUJOCO_GL`` names by then, otherwise the first that works, which is then written to ``MUJOCO_GL``.
 """
 
 from __future__ import annotations
 
+import atexit
 import copy
 import dataclasses
 import functools
@@ -15,6 +16,7 @@ import itertools
 import os
 import platform
 import sys
+import weakref
 from collections.abc import Sequence
 from typing import Any
 
@@ -47,13 +49,17 @@ def _backends() -> tuple[str, ...]:
 
 
 def _try_backend(name: str) -> type:
-    """Import a backend and make a context of it current once, or undo the import and raise."""
-    platform_before = os.environ.get("PYOPENGL_PLATFORM")
+    """Import a backend and open MuJoCo's drawing context once, or undo the import and raise."""
+    before = {key: os.environ.get(key) for key in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
     loaded = set(sys.modules)
     try:
+        # MuJoCo's C library reads it to find the driver's functions; child processes inherit it.
+        os.environ["MUJOCO_GL"] = name
         context_type = importlib.import_module(f"mujoco.{name}").GLContext
         context = context_type(16, 16)
         context.make_current()
+        # GLFW without a display fails only here.
+        mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 50).free()
         context.free()
     except BaseException:
         # PyOpenGL binds itself to one platform when it is imported: without this, a failure of EGL
@@ -61,9 +67,10 @@ def _try_backend(name: str) -> type:
         for module in set(sys.modules) - loaded:
             if module.split(".")[0] == "OpenGL" or module.startswith(f"mujoco.{name}"):
                 del sys.modules[module]
-        os.environ.pop("PYOPENGL_PLATFORM", None)
-        if platform_before is not None:
-            os.environ["PYOPENGL_PLATFORM"] = platform_before
+        for key, value in before.items():
+            os.environ.pop(key, None)
+            if value is not None:
+                os.environ[key] = value
         raise
     return context_type
 
@@ -82,12 +89,24 @@ def gl_context_type() -> type:
     failures = []
     for name in _backends():
         try:
-            return _try_backend(name)
+            context_type = _try_backend(name)
+            # After the backend's own handler is registered, so that this one runs before it.
+            atexit.register(_close_all)
+            return context_type
         except Exception as error:  # whatever a driver or a loader raises
             failures.append(f"{name}: {type(error).__name__}: {error}")
     asked = os.environ.get("MUJOCO_GL")
     reasons = "; ".join(failures) or "rendering is switched off"
     raise RuntimeError(f"No OpenGL backend works (MUJOCO_GL={asked!r}): {reasons}. {_INSTALL}")
+
+
+_open_renderers: weakref.WeakSet[Renderer] = weakref.WeakSet()
+
+
+def _close_all() -> None:
+    """Release what is still open at exit, while the modules that release it exist."""
+    for renderer in list(_open_renderers):
+        renderer.close()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,6 +128,20 @@ class Camera:
     distance: float = 10.0
     fovy: float = 50.0
     height: float | None = None
+
+
+def _simplify(points: np.ndarray, tolerance: float) -> np.ndarray:
+    """Leave out points ``[T, 2]`` within a tolerance of the path: drawing costs by the piece."""
+    if len(points) < 2:
+        return points
+    kept = [0]
+    for last in range(2, len(points)):
+        start, between = points[kept[-1]], points[kept[-1] + 1 : last]
+        chord = points[last] - start
+        share = np.clip((between - start) @ chord / max(chord @ chord, 1e-12), 0.0, 1.0)
+        if np.abs(between - start - share[:, None] * chord).max() > tolerance:
+            kept.append(last - 1)
+    return points[[*kept, len(points) - 1]]
 
 
 class Renderer:
@@ -142,6 +175,7 @@ class Renderer:
         """Activate a context whose buffer holds pictures of this size."""
         if self._gl is None:
             self._gl = gl_context_type()(width, height)
+            _open_renderers.add(self)
         self._gl.make_current()
         if self._context is None:
             self._model.vis.quality.offsamples = self._samples
@@ -217,11 +251,7 @@ class Renderer:
                 f"A trail is (xy [T, 2], (red, green, blue)), got shapes {points.shape} and "
                 f"({len(rgb)},)."
             )
-        points = points[np.isfinite(points).all(-1)]
-        kept: list[np.ndarray] = []
-        for point in points:  # a robot that stands still repeats its last point
-            if not kept or np.abs(point - kept[-1]).max() > 0.01:
-                kept.append(point)
+        kept = _simplify(points[np.isfinite(points).all(-1)], TRAIL_RADIUS / 16)
         if self._scene.ngeom + len(kept) > self._scene.maxgeom:
             raise ValueError(f"The trails have more points than the {_MAX_GEOMS} that fit a scene.")
         rgba = np.array([*rgb, 1.0], dtype=np.float32)
@@ -231,7 +261,7 @@ class Renderer:
             geom = self._scene.geoms[self._scene.ngeom]
             mujoco.mjv_initGeom(geom, capsule, zero, zero, np.zeros(9), rgba)
             mujoco.mjv_connector(geom, capsule, TRAIL_RADIUS, start, end)
-            geom.emission = 0.6  # the colour of a trail is its legend: keep it free of shading
+            geom.emission = 0.15  # the colour of a trail is its legend: keep it free of shading
             self._scene.ngeom += 1
 
     def close(self) -> None:

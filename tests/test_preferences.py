@@ -6,7 +6,8 @@ import pickle
 import pytest
 import torch
 
-from torchrl_morl.preferences import PreferenceSegments, PreferenceSpace
+from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.segments import PreferenceSegments
 
 PAPER = PreferenceSpace(("core", "demo", "distance", "efficiency"), static={"core": 1.0})
 LAWS = ("dirichlet", "abs_normal")

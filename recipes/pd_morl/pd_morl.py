@@ -85,6 +85,7 @@ def main(cfg: DictConfig) -> None:
                         metrics |= info | {"loss_actor": actor_loss.detach()}
             for scheduler in schedulers.values():
                 scheduler.step()
+            loss.pre_tanh_coeff = utils.pre_tanh_coeff(cfg, frames)
 
         if metrics and utils.crossed(cfg.logger.interval, collected, frames):
             utils.log_training(loggers, metrics, space, frames, updates)

@@ -103,6 +103,8 @@ def make_loss(
         policy_noise=cfg.loss.policy_noise,
         noise_clip=cfg.loss.noise_clip,
     )
+    if cfg.loss.truncation_is_terminal:
+        loss.set_keys(terminated="done")
     loss.make_value_estimator(gamma=cfg.loss.gamma)
     return loss.to(device)
 
@@ -131,6 +133,12 @@ def make_optimizers(
         for name, optimizer in optimizers.items()
     }
     return optimizers, schedulers
+
+
+def pre_tanh_coeff(cfg: DictConfig, frames: int) -> float:
+    """Geometric decay from ``pre_tanh_coeff`` to ``final_pre_tanh_coeff``."""
+    share = frames / cfg.collector.total_frames
+    return cfg.loss.pre_tanh_coeff ** (1 - share) * cfg.loss.final_pre_tanh_coeff**share
 
 
 def make_replay_buffer(

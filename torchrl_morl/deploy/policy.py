@@ -12,11 +12,13 @@ from typing import Any
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torchrl.data import Bounded
 
 from torchrl_morl.modules import make_actor
 from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.transforms import check_finite
 
 __all__ = ["load_policy", "save_policy"]
 
@@ -88,7 +90,8 @@ def load_policy(
         device: where to put the actor.
 
     Returns:
-        The actor (in evaluation mode, without gradients), its preference space and its card.
+        The actor (in evaluation mode, without gradients), its preference space and its card. Fed
+        with an input that is NaN or infinite, the actor raises ``ValueError``.
 
     Raises:
         FileNotFoundError: if a file is missing.
@@ -137,4 +140,14 @@ def load_policy(
         )
     actor.load_state_dict(weights)
     actor.requires_grad_(False).eval().to(device)
+    # A hook and not a module, so that the state dict stays the one of `make_actor`.
+    actor.register_forward_pre_hook(_check_inputs, with_kwargs=True)
     return actor, space, config.get("card", {})
+
+
+def _check_inputs(actor: TensorDictSequential, args: tuple, kwargs: dict[str, Any]) -> None:
+    """Check the inputs of an actor, given as a tensordict or one by one."""
+    data = kwargs.get("tensordict", args[0] if args else None)
+    if not isinstance(data, TensorDictBase):
+        data = dict(zip(actor.in_keys, args)) | kwargs
+    check_finite(data, actor.in_keys)

@@ -8,15 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
-from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
-from torchrl.data import Composite
-from torchrl.envs.transforms import Transform
 
-from torchrl_morl.preferences import PreferenceSpace
-
-__all__ = ["BAR_COLORS", "PreferenceOverlay", "draw_preference"]
+__all__ = ["BAR_COLORS", "draw_preference"]
 
 BAR_COLORS: tuple[tuple[int, int, int], ...] = (
     (204, 121, 167),
@@ -30,7 +24,7 @@ BAR_COLORS: tuple[tuple[int, int, int], ...] = (
 
 _TRACK = (222, 222, 222)
 _INK = (30, 30, 30)
-_OPACITY = 0.86
+_OPACITY = 0.8
 
 
 class _Panel(NamedTuple):
@@ -105,6 +99,7 @@ def draw_preference(frames: Tensor, preference: Tensor, names: Sequence[str]) ->
         ValueError: if dtype or shapes do not fit, or if the frames are too small for the chart.
 
     Example:
+        >>> import torch
         >>> frames = torch.zeros(2, 120, 200, 3, dtype=torch.uint8)
         >>> preference = torch.tensor([[0.2, 0.8], [1.0, 0.0]])
         >>> draw_preference(frames, preference, ("distance", "efficiency")).shape
@@ -141,95 +136,3 @@ def draw_preference(frames: Tensor, preference: Tensor, names: Sequence[str]) ->
             bar = chart[top : top + panel.bar_height, panel.bar_left : panel.bar_left + length]
             bar[...] = BAR_COLORS[index % len(BAR_COLORS)]
     return out.to(frames.device)
-
-
-class PreferenceOverlay(Transform):
-    """Draw the preference into the pictures of an environment.
-
-    A :class:`~torchrl.record.VideoRecorder` placed after it records pictures that say which
-    preference was followed. Place it after the
-    :class:`~torchrl_morl.transforms.PreferenceSampler`. In a partial reset, the environments that
-    are not being reset keep their last picture.
-
-    Args:
-        space: the objectives; the chart names the tunable ones.
-
-    Keyword Args:
-        in_keys: pictures, ``uint8 [*B, H, W, 3]``.
-        out_keys: where to write; defaults to ``in_keys``.
-        preference_key: the preference, ``[*B, T]``.
-
-    Raises:
-        KeyError: in an environment without preferences.
-
-    Example:
-        >>> from tensordict import TensorDict
-        >>> space = PreferenceSpace(("core", "distance", "efficiency"), static={"core": 1.0})
-        >>> overlay = PreferenceOverlay(space)
-        >>> data = TensorDict(
-        ...     pixels=torch.zeros(4, 120, 200, 3, dtype=torch.uint8),
-        ...     preference=torch.full((4, 2), 0.5),
-        ...     batch_size=4,
-        ... )
-        >>> bool(overlay(data)["pixels"].any())
-        True
-
-    """
-
-    def __init__(
-        self,
-        space: PreferenceSpace,
-        *,
-        in_keys: Sequence[NestedKey] = ("pixels",),
-        out_keys: Sequence[NestedKey] | None = None,
-        preference_key: NestedKey = "preference",
-    ) -> None:
-        in_keys = [unravel_key(key) for key in in_keys]
-        super().__init__(in_keys=in_keys, out_keys=list(in_keys if out_keys is None else out_keys))
-        self.space = space
-        self.preference_key = unravel_key(preference_key)
-        self._last: dict[NestedKey, Tensor] = {}
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Draw into the pictures of data, for instance of a replay buffer."""
-        return self._draw(tensordict, tensordict)
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._remember(self._draw(next_tensordict, tensordict))
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        self._draw(tensordict_reset, tensordict)
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        if mask is not None and not mask.all():
-            # A sampler draws a preference for every row, but the others go on with theirs.
-            for key, last in self._last.items():
-                frames = tensordict_reset.get(key)
-                if last.shape == frames.shape:
-                    chosen = mask.reshape(*mask.shape[: frames.ndim - 3], 1, 1, 1)
-                    tensordict_reset.set(key, torch.where(chosen, frames, last))
-        return self._remember(tensordict_reset)
-
-    def _remember(self, tensordict: TensorDictBase) -> TensorDictBase:
-        self._last = {key: tensordict.get(key) for key in self.out_keys}
-        return tensordict
-
-    def _draw(self, target: TensorDictBase, fallback: TensorDictBase | None) -> TensorDictBase:
-        preference = target.get(self.preference_key, None)
-        if preference is None and fallback is not None:
-            preference = fallback.get(self.preference_key, None)
-        if preference is None:
-            raise KeyError(
-                f"PreferenceOverlay found no {self.preference_key!r}: place it after the "
-                "PreferenceSampler."
-            )
-        for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
-            target.set(out_key, draw_preference(target.get(in_key), preference, self.space.tunable))
-        return target
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        observation_spec = observation_spec.clone()
-        for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
-            observation_spec[out_key] = observation_spec[in_key].clone()
-        return observation_spec

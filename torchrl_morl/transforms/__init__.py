@@ -1,16 +1,21 @@
 """TorchRL transforms for preferences, vector rewards and range sensors."""
 
+from torchrl_morl.transforms.finite import CheckFinite, check_finite
 from torchrl_morl.transforms.lidar import LidarMinPool
+from torchrl_morl.transforms.overlay import PreferenceOverlay
 from torchrl_morl.transforms.polar import PolarFeatures
 from torchrl_morl.transforms.preference import PreferenceSampler
 from torchrl_morl.transforms.relabel import PreferenceExpand, PreferenceRelabel
 from torchrl_morl.transforms.reward import ScalarizeReward
 
 __all__ = [
+    "CheckFinite",
     "LidarMinPool",
     "PolarFeatures",
     "PreferenceExpand",
+    "PreferenceOverlay",
     "PreferenceRelabel",
     "PreferenceSampler",
     "ScalarizeReward",
+    "check_finite",
 ]

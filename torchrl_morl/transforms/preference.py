@@ -84,7 +84,7 @@ class PreferenceSampler(_RandomPreferences):
     Keyword Args:
         law (str): see :meth:`PreferenceSpace.sample`.
         num_segments (int, optional): the environment of index ``i`` in the flattened batch draws
-            from cell ``i % num_segments`` of :class:`~torchrl_morl.preferences.PreferenceSegments`,
+            from cell ``i % num_segments`` of :class:`~torchrl_morl.segments.PreferenceSegments`,
             as in PD-MORL (https://arxiv.org/abs/2208.07914). Defaults to the whole simplex.
         preference_key (NestedKey): where to write preferences, of shape ``[*B, T]``.
         reset_key (NestedKey, optional): the reset mask. Only environments that reset themselves and

@@ -1,0 +1,120 @@
+"""The scripted demonstration: a circle around the human on the way to the goal."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+
+from .geometry import wrap_angle
+from .navigation import NavigationEnv
+from .robots import TURTLEBOT2, Robot, get_robot
+
+
+class CircleDemonstrator(TensorDictModuleBase):
+    """Drive the pattern that de Heuvel et al. demonstrate (arXiv:2404.04857, section III-D).
+
+    The robot drives straight at the human; at ``radius`` it turns by 90 degrees to the left and
+    orbits the human clockwise; once it is between human and goal it turns left again and drives
+    straight to the goal. With ``side="right"`` the pattern is mirrored.
+
+    The policy is a function of the present observation alone: the phase follows from the angle
+    between human-to-goal and human-to-robot and from the distance to the human. It does not avoid
+    boxes.
+
+    Args:
+        radius: of the orbit around the human's centre, metres.
+        side: on which side of the human the robot passes, seen from its start.
+        speed: forward speed, m/s.
+        robot: whose limits it respects.
+
+    Keyword Args:
+        goal_key: polar goal ``[*B, 2]`` (m, rad).
+        human_key: polar human ``[*B, 2]``.
+        action_key: where the action ``[*B, 2]`` (m/s, rad/s) is written.
+
+    Raises:
+        ValueError: for a radius or speed that is not positive, a speed above the robot's or an
+            unknown side.
+
+    Examples:
+        >>> from envs import NavigationEnv
+        >>> env = NavigationEnv(scene="empty", num_envs=2, seed=0)
+        >>> rollout = env.rollout(
+        ...     300, CircleDemonstrator(), break_when_any_done=False, break_when_all_done=True
+        ... )
+        >>> bool(rollout["next", "success"].any(1).all())
+        True
+        >>> 0.9 < rollout["human"][..., 0].min() < 1.0
+        tensor(True)
+    """
+
+    def __init__(
+        self,
+        radius: float = 1.0,
+        side: Literal["left", "right"] = "left",
+        speed: float = 0.5,
+        robot: str | Robot = TURTLEBOT2,
+        *,
+        goal_key: NestedKey = "goal",
+        human_key: NestedKey = "human",
+        action_key: NestedKey = "action",
+    ) -> None:
+        super().__init__()
+        robot = get_robot(robot)
+        if not radius > 0:
+            raise ValueError(f"radius must be positive, got {radius} m.")
+        if side not in ("left", "right"):
+            raise ValueError(f"side must be 'left' or 'right', got {side!r}.")
+        if not 0 < speed <= robot.max_speed:
+            raise ValueError(f"speed must be in (0, {robot.max_speed}] m/s, got {speed}.")
+        self.in_keys = [goal_key, human_key]
+        self.out_keys = [action_key]
+        self.radius, self.side, self.speed = radius, side, speed
+        self.max_turn_rate = robot.max_turn_rate
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action for every robot."""
+        goal, human = (tensordict.get(key) for key in self.in_keys)
+        mirror = 1.0 if self.side == "left" else -1.0
+        turn, forward = self._command(
+            goal * goal.new_tensor([1.0, mirror]), human * human.new_tensor([1.0, mirror])
+        )
+        tensordict.set(self.out_keys[0], torch.stack((forward, mirror * turn), dim=-1))
+        return tensordict
+
+    def _command(self, goal: Tensor, human: Tensor) -> tuple[Tensor, Tensor]:
+        """Turn rate and speed for passing on the left."""
+        human_distance, human_bearing = human.unbind(-1)
+        # Angle from human->goal to human->robot: pi before the human, falling to 0 on the orbit.
+        towards_goal = _cartesian(goal) - _cartesian(human)
+        towards_robot = -_cartesian(human)
+        phase = wrap_angle(_angle(towards_robot) - _angle(towards_goal))
+        phase = torch.where(phase < -math.pi / 2, phase + 2 * math.pi, phase)
+        # The robot leaves when the straight way out to the goal opens: turning takes it another
+        # tenth of a radian along the orbit.
+        leaving = phase <= 0.1
+        # The corner into the orbit starts early enough to be round at the radius, not inside it.
+        orbiting = ~leaving & (human_distance <= self.radius + 0.1)
+        inwards = (2.0 * (human_distance - self.radius)).clamp(-0.6, 0.6)
+        tangent = wrap_angle(human_bearing + math.pi / 2 - inwards)
+        heading = torch.where(leaving, goal[..., 1], torch.where(orbiting, tangent, human_bearing))
+        # Slow in corners: they are sharp in the demonstration.
+        forward = self.speed * heading.cos().clamp_min(0.0) ** 2
+        curve = torch.where(orbiting, -forward / self.radius, torch.zeros_like(forward))
+        turn = 0.8 / NavigationEnv.CONTROL_PERIOD * heading + curve
+        return turn.clamp(-self.max_turn_rate, self.max_turn_rate), forward
+
+
+def _cartesian(polar: Tensor) -> Tensor:
+    distance, bearing = polar.unbind(-1)
+    return torch.stack((distance * bearing.cos(), distance * bearing.sin()), dim=-1)
+
+
+def _angle(vector: Tensor) -> Tensor:
+    return torch.atan2(vector[..., 1], vector[..., 0])

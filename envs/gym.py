@@ -1,0 +1,165 @@
+"""The navigation task as a Gymnasium environment with MO-Gymnasium's conventions.
+
+Importing this module registers one id per kind of scene::
+
+    torchrl_morl/Navigation-v0              static human and boxes
+    torchrl_morl/Navigation-MovingHuman-v0  the human walks towards the robot
+    torchrl_morl/Navigation-Corridor-v0     an intersection of two corridors
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import torch
+from torchrl.envs import ActionScaling, Compose, TransformedEnv
+
+from .navigation import NavigationEnv
+from .policy_env import policy_transforms
+
+
+class NavigationGymEnv(gymnasium.Env):
+    """One :class:`NavigationEnv` simulation for Gymnasium, MO-Gymnasium and their wrappers.
+
+    Observations are the 36 features of :func:`envs.policy_env.policy_transforms`. Rewards are
+    vectors, one entry per objective, as in `MO-Gymnasium <https://mo-gymnasium.farama.org>`_.
+    ``info`` says in ``success``, ``collision_human`` and ``collision_obstacle`` why an episode
+    terminated.
+
+    Actions are physical: forward speed in m/s and turn rate in rad/s, clamped to the robot's
+    limits. The range is neither symmetric nor [-1, 1]; MORL-Baselines' continuous algorithms
+    (CAPQL, GPI-LS, GPI-PD, MOSAC) shift and scale their actors to the bounds of any box. Their
+    critics take the action as it is, so compare methods, or drive with a policy of this project,
+    under ``gymnasium.wrappers.RescaleAction(env, -1.0, 1.0)``.
+
+    Args:
+        render_mode: ``"rgb_array"`` or ``None``.
+
+    Keyword Args:
+        camera: what :meth:`render` shows, ``"top"`` or ``"chase"``.
+        width: of rendered frames, pixels.
+        height: of rendered frames, pixels.
+        **kwargs: see :class:`NavigationEnv`; ``num_envs`` is 1.
+
+    Raises:
+        ValueError: for an unknown ``render_mode``, or from :class:`NavigationEnv`.
+
+    Examples:
+        >>> import mo_gymnasium
+        >>> import envs.gym
+        >>> env = mo_gymnasium.make("torchrl_morl/Navigation-v0")
+        >>> observation, info = env.reset(seed=0)
+        >>> observation.shape
+        (36,)
+        >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        >>> dict(zip(env.unwrapped.objectives, reward))["efficiency"]
+        np.float32(-10.0)
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": round(1 / NavigationEnv.CONTROL_PERIOD),
+    }
+
+    def __init__(
+        self,
+        render_mode: str | None = None,
+        *,
+        camera: str = "top",
+        width: int = 640,
+        height: int = 360,
+        **kwargs: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise ValueError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}.")
+        # One simulation has no use for a pool of threads, nor Gymnasium for snapshots.
+        options = {"num_threads": 1, "snapshots": False, **kwargs}
+        self._navigation = NavigationEnv(
+            num_envs=1, camera=camera, render_width=width, render_height=height, **options
+        )
+        features = [
+            transform.clone()
+            for transform in policy_transforms(self._navigation.max_range)
+            if not isinstance(transform, ActionScaling)
+        ]
+        self._env = TransformedEnv(self._navigation, Compose(*features))
+        self.render_mode = render_mode
+        self.objectives = self._navigation.objectives
+        self.reward_dim = len(self.objectives)
+        size = self._env.observation_spec["observation"].shape[-1]
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        low, high = self._env.action_spec.space.low, self._env.action_spec.space.high
+        self.action_space = gymnasium.spaces.Box(low[0].numpy(), high[0].numpy(), dtype=np.float32)
+        self.reward_space = gymnasium.spaces.Box(-np.inf, np.inf, (self.reward_dim,), np.float32)
+        self._current = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode in a new scene.
+
+        Args:
+            seed: seeds this and, through the scenes' random stream, all episodes that follow.
+            options: not used.
+
+        Returns:
+            Observation ``[36]`` and info.
+        """
+        super().reset(seed=seed)
+        if seed is not None or self._current is None:
+            # np_random is the one source of randomness, as Gymnasium asks.
+            self._navigation.set_seed(int(self.np_random.integers(2**31)))
+        self._current = self._env.reset()
+        return self._observation(), self._info()
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool, bool, dict[str, Any]]:
+        """Drive for 0.2 s.
+
+        Args:
+            action: forward speed (m/s) and turn rate (rad/s).
+
+        Returns:
+            Observation ``[36]``, reward ``[K]``, terminated, truncated and info.
+
+        Raises:
+            RuntimeError: before the first reset.
+            ValueError: for an action of another shape, or one that is not finite.
+        """
+        if self._current is None:
+            raise RuntimeError("Call reset before the first step.")
+        action = np.asarray(action, dtype=np.float32)
+        if action.shape != self.action_space.shape:
+            raise ValueError(f"An action is {self.action_space.shape}, got {action.shape}.")
+        self._current = self._env.step(self._current.set("action", torch.tensor(action)[None]))[
+            "next"
+        ]
+        reward = self._current["reward"][0].numpy().astype(np.float32)
+        terminated, truncated = (bool(self._current[key]) for key in ("terminated", "truncated"))
+        return self._observation(), reward, terminated, truncated, self._info()
+
+    def render(self) -> np.ndarray | None:
+        """The scene as an image, uint8 ``[height, width, 3]``; ``None`` without a render mode."""
+        return None if self.render_mode is None else self._navigation.render()[0].cpu().numpy()
+
+    def close(self) -> None:
+        if not self._env.is_closed:
+            self._env.close()
+
+    def _observation(self) -> np.ndarray:
+        return self._current["observation"][0].numpy().astype(np.float32)
+
+    def _info(self) -> dict[str, Any]:
+        keys = ("success", "collision_human", "collision_obstacle")
+        return {key: bool(self._current[key]) for key in keys}
+
+
+for _name, _scene in (
+    ("Navigation", "static"),
+    ("Navigation-MovingHuman", "moving_human"),
+    ("Navigation-Corridor", "corridor"),
+):
+    _id = f"torchrl_morl/{_name}-v0"
+    if _id not in gymnasium.registry:
+        gymnasium.register(_id, "envs.gym:NavigationGymEnv", kwargs={"scene": _scene})

@@ -1,0 +1,100 @@
+"""Exploration noise that lasts."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import TensorSpec
+from torchrl.envs.utils import ExplorationType, exploration_type
+
+__all__ = ["HeldEGreedyModule"]
+
+
+class HeldEGreedyModule(TensorDictModuleBase):
+    """Epsilon-greedy noise whose random actions are held for several steps.
+
+    White epsilon-greedy noise (:class:`torchrl.modules.EGreedyModule`) averages out on a
+    velocity-controlled base: single random commands hardly move the path, and a reward model that
+    ranks such rollouts learns to spot random actions. Here a random action, once drawn, replaces
+    the policy's for ``hold`` steps. Draws start with the probability that makes ``eps`` the share
+    of noisy steps in the long run, so levels mean the same as for white noise; ``hold=1`` is white
+    noise.
+
+    What is left of a hold travels in the tensordict, from step to step.
+
+    Args:
+        spec: of one action; random actions are ``spec.rand()``.
+        eps: share of noisy steps, in [0, 1].
+        hold: length of a noisy stretch, steps.
+
+    Keyword Args:
+        action_key: the action ``[*B, A]`` that is replaced.
+        seed: of the module's own generator; the global one of torch if ``None``.
+
+    Raises:
+        ValueError: for ``eps`` outside of [0, 1] or ``hold`` below 1.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Bounded
+        >>> from torchrl.envs.utils import ExplorationType, set_exploration_type
+        >>> noise = HeldEGreedyModule(Bounded(-1.0, 1.0, (2,)), eps=1.0, hold=5, seed=0)
+        >>> with set_exploration_type(ExplorationType.RANDOM):
+        ...     first = noise(TensorDict(action=torch.zeros(3, 2), batch_size=[3]))
+        ...     second = noise(first.clone().set("action", torch.zeros(3, 2)))
+        >>> bool((first["action"] == second["action"]).all())
+        True
+    """
+
+    def __init__(
+        self,
+        spec: TensorSpec,
+        eps: float,
+        hold: int = 5,
+        *,
+        action_key: NestedKey = "action",
+        seed: int | None = None,
+    ) -> None:
+        super().__init__()
+        if not 0 <= eps <= 1:
+            raise ValueError(f"eps is a share in [0, 1], got {eps}.")
+        if hold < 1:
+            raise ValueError(f"hold must be at least 1 step, got {hold}.")
+        self.spec = spec
+        self.eps, self.hold = eps, hold
+        self.action_key = action_key
+        self.in_keys = [action_key]
+        self.out_keys = [action_key, "held_action", "held_steps"]
+        self.generator = None if seed is None else torch.Generator().manual_seed(seed)
+
+    def _rand(self, shape: torch.Size) -> Tensor:
+        low, high = self.spec.space.low, self.spec.space.high
+        unit = torch.rand(*shape, *low.shape, generator=self.generator).to(low.device)
+        return low + (high - low) * unit
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Replace the actions of the environments that are in a noisy stretch."""
+        if exploration_type() != ExplorationType.RANDOM:
+            return tensordict
+        action = tensordict.get(self.action_key)
+        shape = tensordict.batch_size
+        left = tensordict.get("held_steps", None)
+        held = tensordict.get("held_action", None)
+        if left is None:
+            left = torch.zeros(*shape, 1, dtype=torch.int64, device=action.device)
+            held = torch.zeros_like(action)
+        # Noisy stretches of `hold` steps alternate with pauses of mean length 1 / start.
+        start = self.eps / (self.hold * (1 - self.eps) + self.eps)
+        draw = torch.rand(*shape, 1, generator=self.generator).to(action.device)
+        begins = (left == 0) & (draw < start)
+        held = torch.where(begins, self._rand(shape).to(action), held)
+        left = torch.where(begins, self.hold, left)
+        noisy = left > 0
+        tensordict.set(self.action_key, torch.where(noisy, held, action))
+        tensordict.set("held_action", held)
+        tensordict.set("held_steps", (left - 1).clamp_min(0))
+        return tensordict
