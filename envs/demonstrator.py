@@ -28,7 +28,7 @@ class CircleDemonstrator(TensorDictModuleBase):
     boxes.
 
     Args:
-        radius: of the orbit around the human's centre, metres.
+        radius: of the orbit around the human's centre, metres; or one per robot, ``[*B]``.
         side: on which side of the human the robot passes, seen from its start.
         speed: forward speed, m/s.
         robot: whose limits it respects.
@@ -36,7 +36,9 @@ class CircleDemonstrator(TensorDictModuleBase):
     Keyword Args:
         goal_key: polar goal ``[*B, 2]`` (m, rad).
         human_key: polar human ``[*B, 2]``.
-        action_key: where the action ``[*B, 2]`` (m/s, rad/s) is written.
+        action_key: where the action ``[*B, 2]`` is written.
+        scaled: write the action in [-1, 1], as :class:`torchrl.envs.ActionScaling` expects it,
+            instead of in m/s and rad/s.
 
     Raises:
         ValueError: for a radius or speed that is not positive, a speed above the robot's or an
@@ -56,7 +58,7 @@ class CircleDemonstrator(TensorDictModuleBase):
 
     def __init__(
         self,
-        radius: float = 1.0,
+        radius: float | Tensor = 1.0,
         side: Literal["left", "right"] = "left",
         speed: float = 0.5,
         robot: str | Robot = TURTLEBOT2,
@@ -64,10 +66,11 @@ class CircleDemonstrator(TensorDictModuleBase):
         goal_key: NestedKey = "goal",
         human_key: NestedKey = "human",
         action_key: NestedKey = "action",
+        scaled: bool = False,
     ) -> None:
         super().__init__()
         robot = get_robot(robot)
-        if not radius > 0:
+        if not (torch.as_tensor(radius) > 0).all():
             raise ValueError(f"radius must be positive, got {radius} m.")
         if side not in ("left", "right"):
             raise ValueError(f"side must be 'left' or 'right', got {side!r}.")
@@ -76,7 +79,8 @@ class CircleDemonstrator(TensorDictModuleBase):
         self.in_keys = [goal_key, human_key]
         self.out_keys = [action_key]
         self.radius, self.side, self.speed = radius, side, speed
-        self.max_turn_rate = robot.max_turn_rate
+        self.max_speed, self.max_turn_rate = robot.max_speed, robot.max_turn_rate
+        self.scaled = scaled
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action for every robot."""
@@ -85,6 +89,9 @@ class CircleDemonstrator(TensorDictModuleBase):
         turn, forward = self._command(
             goal * goal.new_tensor([1.0, mirror]), human * human.new_tensor([1.0, mirror])
         )
+        if self.scaled:
+            forward = 2 * forward / self.max_speed - 1
+            turn = turn / self.max_turn_rate
         tensordict.set(self.out_keys[0], torch.stack((forward, mirror * turn), dim=-1))
         return tensordict
 
@@ -109,6 +116,46 @@ class CircleDemonstrator(TensorDictModuleBase):
         curve = torch.where(orbiting, -forward / self.radius, torch.zeros_like(forward))
         turn = 0.8 / NavigationEnv.CONTROL_PERIOD * heading + curve
         return turn.clamp(-self.max_turn_rate, self.max_turn_rate), forward
+
+
+class StraightDriver(TensorDictModuleBase):
+    """Turn towards the goal and drive at full speed, whatever stands in the way.
+
+    Args:
+        speed: forward speed, m/s.
+        robot: whose limits it respects.
+
+    Keyword Args:
+        goal_key: polar goal ``[*B, 2]`` (m, rad).
+        action_key: where the action ``[*B, 2]`` is written.
+        scaled: see :class:`CircleDemonstrator`.
+    """
+
+    def __init__(
+        self,
+        speed: float = 0.5,
+        robot: str | Robot = TURTLEBOT2,
+        *,
+        goal_key: NestedKey = "goal",
+        action_key: NestedKey = "action",
+        scaled: bool = False,
+    ) -> None:
+        super().__init__()
+        robot = get_robot(robot)
+        self.in_keys, self.out_keys = [goal_key], [action_key]
+        self.speed, self.scaled = speed, scaled
+        self.max_speed, self.max_turn_rate = robot.max_speed, robot.max_turn_rate
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action for every robot."""
+        bearing = tensordict.get(self.in_keys[0])[..., 1]
+        forward = self.speed * bearing.cos().clamp_min(0.0) ** 2
+        turn = 0.8 / NavigationEnv.CONTROL_PERIOD * bearing
+        turn = turn.clamp(-self.max_turn_rate, self.max_turn_rate)
+        if self.scaled:
+            forward, turn = 2 * forward / self.max_speed - 1, turn / self.max_turn_rate
+        tensordict.set(self.out_keys[0], torch.stack((forward, turn), dim=-1))
+        return tensordict
 
 
 def _cartesian(polar: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import (
     ActionScaling,
     CatTensors,
@@ -13,13 +14,19 @@ from torchrl.envs import (
     TransformedEnv,
 )
 
-from torchrl_morl.transforms import CheckFinite, LidarMinPool, PolarFeatures, PreferenceSampler
+from torchrl_morl.transforms import (
+    CheckFinite,
+    LidarMinPool,
+    PolarFeatures,
+    PreferenceSampler,
+    RewardModelReward,
+)
 
 from .navigation import NavigationEnv
 
 NUM_SECTORS = 30
-GOAL_SCALE = 10.0
-HUMAN_SCALE = 5.0
+GOAL_SCALE = 5.0
+HUMAN_SCALE = 2.0
 OBSERVATION_SIZE = NUM_SECTORS + 3 + 3
 
 
@@ -30,8 +37,8 @@ def policy_transforms(max_range: float = 4.0) -> Compose:
     entries     meaning
     ==========  =====================================================================
     0 to 29     ``lidar / max_range - 1`` of each 12 degree sector, in (-1, 0]: 0 is no return
-    30 to 32    goal: distance / 10 m, sine and cosine of its bearing
-    33 to 35    human: distance / 5 m, sine and cosine of its bearing
+    30 to 32    goal: distance / 5 m, sine and cosine of its bearing
+    33 to 35    human: distance / 2 m, sine and cosine of its bearing
     ==========  =====================================================================
 
     The policy's ``action`` is in [-1, 1]; the environment gets it in m/s and rad/s. A sensor value
@@ -60,14 +67,20 @@ def policy_transforms(max_range: float = 4.0) -> Compose:
 
 
 def make_policy_env(
-    sampler: PreferenceSampler, *, keep_simulation: bool = False, **kwargs: Any
+    sampler: PreferenceSampler | None = None,
+    *,
+    reward_model: TensorDictModuleBase | None = None,
+    keep_simulation: bool = False,
+    **kwargs: Any,
 ) -> TransformedEnv:
     """A :class:`NavigationEnv` as a preference-conditioned policy sees it.
 
     Args:
-        sampler: gives every episode its preference.
+        sampler: gives every episode its preference; without one there is no preference.
 
     Keyword Args:
+        reward_model: scores demonstration-likeness of ``observation`` and ``action``; it becomes
+            the objective "demo", in second place of the reward.
         keep_simulation: keep raw scans and the simulator's state in the rollouts, for figures and
             snapshots; without them a transition takes 1 kB instead of 13 kB.
         **kwargs: see :class:`NavigationEnv`.
@@ -78,7 +91,10 @@ def make_policy_env(
     """
     base = NavigationEnv(snapshots=keep_simulation, **kwargs)
     transforms = policy_transforms(base.max_range)
-    transforms.append(sampler)
+    if sampler is not None:
+        transforms.append(sampler)
+    if reward_model is not None:
+        transforms.append(RewardModelReward(reward_model, position=1))
     if not keep_simulation:
         transforms.append(ExcludeTransform("scan", "lidar"))
     return TransformedEnv(base, transforms)

@@ -11,15 +11,34 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import get_args
 
 import torch
 import tqdm
+from torch import Tensor
 
 from envs import ROBOTS, SCENES, Perturbation
+from envs.mjcf import Drive
 from torchrl_morl.deploy import load_policy
+from torchrl_morl.preferences import PreferenceSpace
 
 from .demo import GOAL_RADIUS, SHIPPED_POLICY
 from .sweep import edge, sweep
+
+
+def parse_preferences(texts: list[str], space: PreferenceSpace) -> Tensor:
+    """Preferences ``[P, T]`` written as ``0.5,0.5``.
+
+    Raises:
+        ValueError: if one is not a list of numbers, or off the simplex.
+    """
+    rows = []
+    for text in texts:
+        try:
+            rows.append(space.validate([float(value) for value in text.split(",")]))
+        except ValueError as error:
+            raise ValueError(f"--preferences {text}: {error}") from error
+    return torch.stack(rows)
 
 
 def main() -> None:
@@ -28,9 +47,9 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
-    parser.add_argument("--scene", default="static", help=f"one of {sorted(SCENES)}")
-    parser.add_argument("--robot", default="turtlebot2", help=f"one of {sorted(ROBOTS)}")
-    parser.add_argument("--drive", default="planar", help="planar or wheels")
+    parser.add_argument("--scene", default="static", choices=sorted(SCENES))
+    parser.add_argument("--robot", default="turtlebot2", choices=sorted(ROBOTS))
+    parser.add_argument("--drive", default="planar", choices=get_args(Drive))
     parser.add_argument("--episodes", type=int, default=100, help="scenes per preference")
     parser.add_argument("--seed", type=int, default=7, help="of the scenes")
     parser.add_argument(
@@ -47,12 +66,19 @@ def main() -> None:
     args = parser.parse_args()
 
     torch.set_num_threads(1)
-    actor, space, _ = load_policy(args.policy)
-    if args.preferences:
-        rows = [[float(value) for value in row.split(",")] for row in args.preferences]
-        preferences = space.validate(torch.tensor(rows))
-    else:
-        preferences = edge(space, "efficiency", "distance")
+    try:
+        actor, space, _ = load_policy(args.policy)
+        if args.preferences:
+            preferences = parse_preferences(args.preferences, space)
+        else:
+            preferences = edge(space, "efficiency", "distance")
+        perturbation = Perturbation(
+            args.range_noise, args.dropout, args.velocity_noise, args.latency
+        )
+        if args.episodes < 1:
+            raise ValueError(f"--episodes must be at least 1, got {args.episodes}.")
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
     with tqdm.tqdm(total=len(preferences), unit="preference") as progress:
         result = sweep(
             actor,
@@ -64,9 +90,7 @@ def main() -> None:
             robot=args.robot,
             drive=args.drive,
             goal_radius=GOAL_RADIUS,
-            perturbation=Perturbation(
-                args.range_noise, args.dropout, args.velocity_noise, args.latency
-            ),
+            perturbation=perturbation,
             on_preference=lambda _: progress.update(),
         )
     print(result.table())

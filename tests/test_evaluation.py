@@ -265,7 +265,7 @@ def test_environment_without_a_batch():
 
 
 def test_preferences_off_the_simplex_are_refused():
-    with pytest.raises(ValueError, match="sums to 1.5"):
+    with pytest.raises(ValueError, match=r"sums to 1\.5"):
         rollout_preferences(
             mock_env(), towards_preference(), torch.tensor([[1.0, 0.5]]), max_steps=2, seed=0
         )

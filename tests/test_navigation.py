@@ -149,9 +149,10 @@ def test_reaching_the_goal(goal_radius):
     assert (steps["reward"][:, 0] > 0).all()
 
 
-def test_a_collision_at_the_goal_is_no_success():
-    env = make_env(scene="empty")
+def test_a_collision_in_the_step_that_reaches_the_goal_is_no_success():
+    env = make_env(scene="empty", goal_radius=0.43)
     steps = _until_done(env, _place(env, (0, 0, 0), goal=(2, 0), human=(2, 0, 0)))
+    assert steps["goal"][-1, 0] <= TURTLEBOT2.radius + HUMAN_RADIUS and steps["goal"][-2, 0] > 0.43
     assert _flags(steps[-1]) == [False, True, False, True, False]
 
 

@@ -29,8 +29,6 @@ def main(cfg: DictConfig) -> None:
     torch.manual_seed(cfg.seed)
     device = torch.device(cfg.device)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
-    utils.write_run_info(run_dir)
-    loggers = utils.make_loggers(cfg, run_dir)
 
     # The agent: an actor and twin critics that read the preference, one value per objective.
     space = utils.make_preference_space()
@@ -41,6 +39,9 @@ def main(cfg: DictConfig) -> None:
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
     optimizers, schedulers = utils.make_optimizers(cfg, loss)
     replay_buffer = utils.make_replay_buffer(cfg, space, device)
+    # Nothing is written before the configuration has been accepted.
+    utils.write_run_info(run_dir)
+    loggers = utils.make_loggers(cfg, run_dir)
 
     collector = Collector(
         env,
@@ -50,6 +51,7 @@ def main(cfg: DictConfig) -> None:
         init_random_frames=cfg.collector.init_random_frames,
         policy_device=device,
         storing_device=device,
+        auto_register_policy_transforms=False,
     )
     checkpoints = CheckpointRotation(
         run_dir / "checkpoints", keep_last=1, keep_best=("score", "max")
@@ -64,6 +66,7 @@ def main(cfg: DictConfig) -> None:
         with timeit("extend"):
             replay_buffer.extend(data.reshape(-1))
         collected, frames = frames, frames + data.numel()
+        policy[-1].step(data.numel())
         progress.update(data.numel())
 
         metrics = {}
@@ -91,7 +94,8 @@ def main(cfg: DictConfig) -> None:
             utils.log_training(loggers, metrics, space, frames, updates)
             progress.set_postfix(utils.progress_line(progress, updates, success, score))
 
-        if utils.crossed(cfg.evaluation.interval, collected, frames) and updates:
+        last = frames >= cfg.collector.total_frames
+        if updates and (last or utils.crossed(cfg.evaluation.interval, collected, frames)):
             # Corner preferences: their returns are the key solutions of the interpolator.
             with timeit("evaluate"):
                 result = utils.evaluate(cfg, eval_env, actor, space)

@@ -55,7 +55,7 @@ def make_eval_env(cfg: DictConfig, space: PreferenceSpace) -> EnvBase:
 def make_policy(
     cfg: DictConfig, env: EnvBase, space: PreferenceSpace, device: torch.device
 ) -> tuple[TensorDictSequential, TensorDictSequential]:
-    """The actor, and the actor with exploration noise."""
+    """The actor, and the actor followed by exploration noise, which is its last module."""
     spec = env.action_spec_unbatched
     actor = make_actor(
         spec,
@@ -66,7 +66,8 @@ def make_policy(
     noise = AdditiveGaussianModule(
         spec=spec,
         sigma_init=cfg.collector.exploration_sigma,
-        sigma_end=cfg.collector.exploration_sigma,
+        sigma_end=cfg.collector.final_exploration_sigma,
+        annealing_num_steps=cfg.collector.total_frames,
         device=device,
     )
     return actor, TensorDictSequential(actor, noise)
@@ -354,7 +355,7 @@ def save_training_policy(
 
 def finish(run_dir: Path, cfg: DictConfig) -> None:
     """Point to the results."""
-    policies = sorted((run_dir / "policies").iterdir())
+    policies = sorted((run_dir / "policies").glob("*"))
 
     def score(folder: Path) -> float:
         return json.loads((folder / "policy.json").read_text())["card"]["score"]

@@ -6,6 +6,7 @@ Neither format can run code when it is opened.
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def save_policy(
         action_size: entries of the action.
         num_cells: hidden sizes.
         card: whatever a reader should know (environment, training configuration, versions,
-            results), as JSON values.
+            results), as JSON values. NaN and infinity, which JSON does not know, become null.
 
     Returns:
         The folder.
@@ -70,14 +71,22 @@ def save_policy(
         "observation_size": observation_size,
         "action_size": action_size,
         "num_cells": list(num_cells),
-        "card": card,
+        "card": _null_for_nan(card),
     }
-    text = json.dumps(config, indent=2) + "\n"
+    text = json.dumps(config, indent=2, allow_nan=False) + "\n"
     folder.mkdir(parents=True, exist_ok=True)
     weights = {name: value.contiguous().cpu() for name, value in actor.state_dict().items()}
     save_file(weights, folder / _WEIGHTS)
     (folder / _CONFIG).write_text(text)
     return folder
+
+
+def _null_for_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _null_for_nan(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_null_for_nan(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def load_policy(
@@ -96,7 +105,7 @@ def load_policy(
     Raises:
         FileNotFoundError: if a file is missing.
         ValueError: if a file is not what it should be: broken, of another format, or with weights
-            that do not fit the configuration.
+            that are not finite or do not fit the configuration.
     """
     folder = Path(folder)
     for name in (_WEIGHTS, _CONFIG):
@@ -108,6 +117,8 @@ def load_policy(
         config = json.loads((folder / _CONFIG).read_text())
     except ValueError as error:
         raise ValueError(f"{folder / _CONFIG} is not valid JSON: {error}.") from error
+    if not isinstance(config, dict):
+        raise ValueError(f"{folder / _CONFIG} is not a policy: no JSON object.")
     missing = [key for key in _REQUIRED if key not in config]
     if missing:
         raise ValueError(f"{folder / _CONFIG} is not a policy: {', '.join(missing)} missing.")
@@ -116,12 +127,15 @@ def load_policy(
             f"{folder / _CONFIG} has format {config['format']}, this version reads {_FORMAT}: "
             "use the torchrl-morl version that wrote it."
         )
-    space = PreferenceSpace(tuple(config["objectives"]), static=config["static"])
-    actor = make_actor(
-        Bounded(-1.0, 1.0, shape=(config["action_size"],)),
-        in_features=config["observation_size"] + space.num_tunable,
-        num_cells=tuple(config["num_cells"]),
-    )
+    try:
+        space = PreferenceSpace(tuple(config["objectives"]), static=config["static"])
+        actor = make_actor(
+            Bounded(-1.0, 1.0, shape=(config["action_size"],)),
+            in_features=config["observation_size"] + space.num_tunable,
+            num_cells=tuple(config["num_cells"]),
+        )
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{folder / _CONFIG} describes no policy: {error}") from error
     try:
         weights = load_file(folder / _WEIGHTS)
     except SafetensorError as error:
@@ -138,6 +152,10 @@ def load_policy(
             f"{expected.get(name, 'none')} and has {found.get(name, 'none')} "
             f"({len(different)} entries differ)."
         )
+    try:
+        check_finite(weights, list(weights))
+    except ValueError as error:
+        raise ValueError(f"{folder / _WEIGHTS} is of no use: {error}") from error
     actor.load_state_dict(weights)
     actor.requires_grad_(False).eval().to(device)
     # A hook and not a module, so that the state dict stays the one of `make_actor`.

@@ -1,5 +1,6 @@
 """Evaluation: rollouts over preferences, metrics of trajectories, pictures and videos."""
 
+from .frechet import discrete_frechet, resample_path
 from .metrics import min_human_distance, path_length, steerability, time_to_goal
 from .overlay import draw_preference
 from .plots import PREFERENCE_COLORS, draw_paths, draw_scene
@@ -9,12 +10,14 @@ from .video import VideoLogger, write_video
 __all__ = [
     "PREFERENCE_COLORS",
     "VideoLogger",
+    "discrete_frechet",
     "draw_paths",
     "draw_preference",
     "draw_scene",
     "episode_mask",
     "min_human_distance",
     "path_length",
+    "resample_path",
     "rollout_preferences",
     "steerability",
     "time_to_goal",

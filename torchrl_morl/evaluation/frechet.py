@@ -19,8 +19,8 @@ def discrete_frechet(path_a: Tensor, mask_a: Tensor, path_b: Tensor, mask_b: Ten
         c_{ij} = \max(d_{ij}, \min(c_{i-1,j}, c_{i-1,j-1}, c_{i,j-1})).
 
     All pairs of the batch advance together, one anti-diagonal of this table at a time. Points are
-    what counts, so a coarse path adds up to half of its spacing: :func:`resample_path` first where
-    paths are sampled differently.
+    what counts: against the distance between the curves it errs by up to the longest step. Use
+    :func:`resample_path` first where paths are sampled differently.
 
     Args:
         path_a: ``[*B, T, 2]``, metres. Any number of coordinates will do.
@@ -62,7 +62,8 @@ def discrete_frechet(path_a: Tensor, mask_a: Tensor, path_b: Tensor, mask_b: Ten
         distance = torch.linalg.vector_norm(path_a - opposite, dim=-1)
         reach = torch.minimum(torch.minimum(last[..., :-1], last[..., 1:]), second_last[..., :-1])
         cell = torch.maximum(distance, reach).masked_fill(~inside, torch.inf)
-        at_end = (row == num_a.unsqueeze(-1) - 1) & (column == num_b.unsqueeze(-1) - 1)
+        # An empty path would end outside of the table.
+        at_end = inside & (row == num_a.unsqueeze(-1) - 1) & (column == num_b.unsqueeze(-1) - 1)
         result = torch.where(at_end.any(-1), cell.masked_fill(~at_end, 0).sum(-1), result)
         second_last, last = last, torch.cat([torch.full_like(last[..., :1], torch.inf), cell], -1)
     return result
@@ -96,6 +97,8 @@ def resample_path(position: Tensor, mask: Tensor, num_points: int) -> Tensor:
     if num_points < 2:
         raise ValueError(f"num_points must be at least 2, got {num_points}.")
     position, _ = _compact(position, mask)
+    # One more copy of the end, so that even a single point makes a segment.
+    position = torch.cat([position, position[..., -1:, :]], -2)
     step = torch.linalg.vector_norm(position.diff(dim=-2), dim=-1)
     along = torch.cat([torch.zeros_like(step[..., :1]), step.cumsum(-1)], -1)
     share = torch.linspace(0, 1, num_points, dtype=position.dtype, device=position.device)

@@ -2,5 +2,12 @@
 
 from torchrl_morl.modules.interpolator import PreferenceInterpolator
 from torchrl_morl.modules.networks import make_actor, make_vector_critic, saturated_fraction
+from torchrl_morl.modules.reward_model import RewardModel
 
-__all__ = ["PreferenceInterpolator", "make_actor", "make_vector_critic", "saturated_fraction"]
+__all__ = [
+    "PreferenceInterpolator",
+    "RewardModel",
+    "make_actor",
+    "make_vector_critic",
+    "saturated_fraction",
+]

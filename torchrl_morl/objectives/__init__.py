@@ -1,6 +1,7 @@
 """Losses for multi-objective reinforcement learning."""
 
 from torchrl_morl.objectives.angle import AngleForm, angle_between
+from torchrl_morl.objectives.bradley_terry import BradleyTerryLoss
 from torchrl_morl.objectives.mo_td3 import MOTD3Loss
 
-__all__ = ["AngleForm", "MOTD3Loss", "angle_between"]
+__all__ = ["AngleForm", "BradleyTerryLoss", "MOTD3Loss", "angle_between"]

@@ -7,6 +7,7 @@ from torchrl_morl.transforms.polar import PolarFeatures
 from torchrl_morl.transforms.preference import PreferenceSampler
 from torchrl_morl.transforms.relabel import PreferenceExpand, PreferenceRelabel
 from torchrl_morl.transforms.reward import ScalarizeReward
+from torchrl_morl.transforms.reward_model import RewardModelReward
 
 __all__ = [
     "CheckFinite",
@@ -16,6 +17,7 @@ __all__ = [
     "PreferenceOverlay",
     "PreferenceRelabel",
     "PreferenceSampler",
+    "RewardModelReward",
     "ScalarizeReward",
     "check_finite",
 ]

@@ -10,7 +10,6 @@ from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
-from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 from typing_extensions import Self
 
@@ -115,7 +114,7 @@ class RewardModelReward(Transform):
         # `_step` gets what the base environment got, an action that the whole chain has converted;
         # here it is still the one that this place in the chain exposes. A replay buffer calls this
         # too, on what it is about to store.
-        if isinstance(self.container, EnvBase):
+        if self._in_env():
             tensordict.set(self._carried_key, self._score(tensordict))
         return tensordict
 
@@ -124,6 +123,13 @@ class RewardModelReward(Transform):
         reward = next_tensordict.get(self.in_keys[0])
         next_tensordict.set(self.in_keys[0], self._insert(reward, self.scale * (score - 1)))
         return next_tensordict
+
+    def _in_env(self) -> bool:
+        try:
+            return self.container is not None
+        except ValueError:
+            # TorchRL's answer where a replay buffer holds the chain.
+            return False
 
     @property
     def _carried_key(self) -> NestedKey:
