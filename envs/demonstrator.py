@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
-from .geometry import wrap_angle
+from .geometry import point_box_distance, wrap_angle
 from .navigation import NavigationEnv
 from .robots import TURTLEBOT2, Robot, get_robot
 
@@ -165,3 +165,44 @@ def _cartesian(polar: Tensor) -> Tensor:
 
 def _angle(vector: Tensor) -> Tensor:
     return torch.atan2(vector[..., 1], vector[..., 0])
+
+
+@torch.no_grad()
+def demonstrated_paths(
+    demonstrator: CircleDemonstrator, start: TensorDictBase, **env_kwargs: Any
+) -> TensorDict:
+    """What the demonstrator drives in given scenes, as if there were no boxes in its way.
+
+    Args:
+        demonstrator: writes actions in m/s and rad/s.
+        start: snapshots ``[N]`` of a :class:`NavigationEnv`, such as the first step of a rollout.
+        **env_kwargs: of that environment: its scene, robot and so on.
+
+    Returns:
+        Batch size ``[N]``: ``position`` [N, T, 2], ``mask`` [N, T], and ``free`` [N], whether the
+        path touches none of the boxes of the scene.
+    """
+    env = NavigationEnv(num_envs=len(start), **env_kwargs)
+    state = start.select(*env.state_spec.keys(True, True)).clone()
+    boxes = state["scene", "boxes"].clone()
+    state["scene", "boxes"][..., :2] += 1e3
+    rollout = env.rollout(
+        env.max_episode_steps,
+        demonstrator,
+        auto_reset=False,
+        tensordict=env.reset(state, set_state=True),
+        break_when_any_done=False,
+        break_when_all_done=True,
+    )
+    radius = env.robot.radius
+    env.close()
+    done = rollout["next", "done"].squeeze(-1)
+    ended = done.cumsum(-1)
+    mask = (ended - done.to(ended.dtype)) == 0
+    mask = torch.cat((torch.ones_like(mask[:, :1]), mask), dim=-1)
+    position = torch.cat((rollout["pose"][:, :1], rollout["next", "pose"]), dim=1)[..., :2]
+    clearance = point_box_distance(position[:, :, None], boxes[:, None])
+    touches = ((clearance <= radius) & mask[..., None]).flatten(1).any(-1)
+    return TensorDict(
+        {"position": position, "mask": mask, "free": ~touches}, batch_size=position.shape[:1]
+    )

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PreferenceSpace", "SamplingLaw"]
 
-SamplingLaw = Literal["dirichlet", "abs_normal"]
+SamplingLaw = Literal["dirichlet", "abs_normal", "jeffreys"]
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,9 @@ class PreferenceSpace:
             law (str): ``"dirichlet"`` is uniform on the simplex. ``"abs_normal"`` is the absolute
                 value of a standard normal vector divided by its sum, as in the code of PD-MORL
                 (https://arxiv.org/abs/2208.07914): denser in the middle, rarer at the corners (the
-                density is proportional to the Euclidean norm to the power ``-T``).
+                density is proportional to the Euclidean norm to the power ``-T``). ``"jeffreys"`` is
+                Dirichlet(1/2), the normalised squares of a standard normal vector: denser at edges
+                and corners, where users and test grids are.
             generator (torch.Generator, optional): the source of randomness.
             device (torch.device, optional): where to create the tensor. Defaults to the device of
                 the generator, if any.
@@ -230,6 +232,8 @@ class PreferenceSpace:
             value = torch.empty(size, device=device).exponential_(generator=generator)
         else:
             value = torch.randn(size, generator=generator, device=device).abs()
+            if law == "jeffreys":
+                value = value.square()
         return value / value.sum(-1, keepdim=True)
 
     def corners(self) -> Tensor:

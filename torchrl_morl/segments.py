@@ -101,7 +101,7 @@ class PreferenceSegments:
         if size == 1 or self.num_segments == 1:
             return self.space.sample(segment_index.shape, law, generator, segment_index.device)
         if self.num_segments == size:
-            # Both laws are exchangeable, so swapping the largest entry with the wanted one leaves
+            # All laws are exchangeable, so swapping the largest entry with the wanted one leaves
             # the law within the cell.
             drawn = self.space.sample(segment_index.shape, law, generator, segment_index.device)
             wanted = segment_index.unsqueeze(-1)
@@ -109,10 +109,11 @@ class PreferenceSegments:
             swapped = drawn.scatter(-1, largest, drawn.gather(-1, wanted))
             return swapped.scatter(-1, wanted, drawn.gather(-1, largest))
         flat = segment_index.flatten()
-        preference = self._sample_boxes(flat, generator)
-        if law == "abs_normal":
-            self._reject(preference, flat, generator)
-        return preference.to(torch.get_default_dtype()).reshape(*segment_index.shape, size)
+        if law == "dirichlet":
+            preference = self._sample_boxes(flat, generator).to(torch.get_default_dtype())
+        else:
+            preference = self._sample_rejecting(flat, law, generator)
+        return preference.reshape(*segment_index.shape, size)
 
     def _sample_boxes(self, flat_index: Tensor, generator: torch.Generator | None) -> Tensor:
         lower, upper = self._boxes(flat_index.device)
@@ -122,21 +123,17 @@ class PreferenceSegments:
         )
         return _cube_to_simplex(lower + (upper - lower) * uniform)
 
-    def _reject(
-        self, preference: Tensor, flat_index: Tensor, generator: torch.Generator | None
-    ) -> None:
-        # With respect to Dirichlet(1) the density of |n| / |n|_1 is proportional to |p|_2^-T, which
-        # is largest in the centre, T^(T/2): in any cell a Dirichlet draw is thus kept with
-        # probability (T |p|_2^2)^(-T/2).
-        size = self.space.num_tunable
+    def _sample_rejecting(
+        self, flat_index: Tensor, law: SamplingLaw, generator: torch.Generator | None
+    ) -> Tensor:
+        # Draw from the whole simplex until every row has hit its cell.
+        preference = self.space.sample(len(flat_index), law, generator, flat_index.device)
         pending = torch.arange(len(flat_index), device=flat_index.device)
-        while len(pending):
-            squared_norm = preference[pending].pow(2).sum(-1)
-            accept = torch.rand(
-                len(pending), dtype=torch.double, generator=generator, device=flat_index.device
-            ) < (size * squared_norm).pow(-size / 2)
-            pending = pending[~accept]
-            preference[pending] = self._sample_boxes(flat_index[pending], generator)
+        while True:
+            pending = pending[self.index(preference[pending]) != flat_index[pending]]
+            if not len(pending):
+                return preference
+            preference[pending] = self.space.sample(len(pending), law, generator, flat_index.device)
 
     def _boxes(self, device: torch.device) -> tuple[Tensor, Tensor]:
         boxes = torch.tensor(

@@ -31,14 +31,19 @@ def main(cfg: DictConfig) -> None:
     run_dir = Path(HydraConfig.get().runtime.output_dir)
 
     # The agent: an actor and twin critics that read the preference, one value per objective.
-    space = utils.make_preference_space()
-    env = utils.make_train_env(cfg, space)
-    eval_env = utils.make_eval_env(cfg, space)
+    demo = utils.load_demonstration_objective(cfg)
+    reward_model, demo_card = demo if demo else (None, None)
+    space = utils.make_preference_space(with_demonstrations=demo is not None)
+    env = utils.make_train_env(cfg, space, reward_model)
+    eval_env = utils.make_eval_env(cfg, space, reward_model)
     actor, policy = utils.make_policy(cfg, env, space, device)
     loss = utils.make_loss(cfg, env, space, actor, device)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
     optimizers, schedulers = utils.make_optimizers(cfg, loss)
     replay_buffer = utils.make_replay_buffer(cfg, space, device)
+    demonstration = utils.demonstrated(cfg, demo_card) if demo else None
+    if demo and cfg.demonstrations.dataset:
+        utils.prefill(cfg, replay_buffer, space, reward_model)
     # Nothing is written before the configuration has been accepted.
     utils.write_run_info(run_dir)
     loggers = utils.make_loggers(cfg, run_dir)
@@ -64,7 +69,7 @@ def main(cfg: DictConfig) -> None:
     for data in collector:
         # Collected by groups of environments, each with preferences of its own segment.
         with timeit("extend"):
-            replay_buffer.extend(data.reshape(-1))
+            replay_buffer.extend(data.reshape(-1).select(*utils.TRANSITION))
         collected, frames = frames, frames + data.numel()
         policy[-1].step(data.numel())
         progress.update(data.numel())
@@ -98,7 +103,7 @@ def main(cfg: DictConfig) -> None:
         if updates and (last or utils.crossed(cfg.evaluation.interval, collected, frames)):
             # Corner preferences: their returns are the key solutions of the interpolator.
             with timeit("evaluate"):
-                result = utils.evaluate(cfg, eval_env, actor, space)
+                result = utils.evaluate(cfg, eval_env, actor, space, demonstration)
             loss.interpolator.refit(result.key_solutions, cfg.evaluation.refit_momentum)
             score, success = result.score, result.success
             utils.log_metrics(loggers, result.metrics, frames)

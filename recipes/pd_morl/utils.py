@@ -16,6 +16,7 @@ from typing import Any
 import torch
 import tqdm
 from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
@@ -24,32 +25,64 @@ from torchrl.modules import AdditiveGaussianModule
 from torchrl.record.loggers import Logger, get_logger
 
 from envs import NavigationEnv
+from envs.demonstrator import CircleDemonstrator, demonstrated_paths
+from envs.metrics import episode_metrics, trajectories
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env
-from torchrl_morl.deploy import save_policy
-from torchrl_morl.evaluation import min_human_distance, rollout_preferences, time_to_goal
-from torchrl_morl.modules import PreferenceInterpolator, make_actor, make_vector_critic
+from torchrl_morl.data import load_demonstrations
+from torchrl_morl.deploy import load_reward_model, save_policy
+from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
+from torchrl_morl.modules import (
+    PreferenceInterpolator,
+    RewardModel,
+    make_actor,
+    make_vector_critic,
+)
 from torchrl_morl.objectives import MOTD3Loss
 from torchrl_morl.preferences import PreferenceSpace
-from torchrl_morl.transforms import PreferenceRelabel, PreferenceSampler
+from torchrl_morl.transforms import PreferenceRelabel, PreferenceSampler, RewardModelReward
+
+TRANSITION = (
+    "observation",
+    "preference",
+    "action",
+    *(
+        ("next", key)
+        for key in ("observation", "preference", "reward", "done", "terminated", "truncated")
+    ),
+)
+"""What the replay buffer keeps."""
 
 # --- factories ---------------------------------------------------------------------------------
 
 
-def make_preference_space() -> PreferenceSpace:
+def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | None:
+    """The reward model that adds the objective "demo", and its card; ``None`` without one."""
+    folder = cfg.demonstrations.reward_model
+    return None if folder is None else load_reward_model(folder)
+
+
+def make_preference_space(with_demonstrations: bool) -> PreferenceSpace:
     """The core objective always counts once; the user weighs the others."""
-    return PreferenceSpace(NavigationEnv.objectives, static={"core": 1.0})
+    core, *others = NavigationEnv.objectives
+    names = (core, *(["demo"] if with_demonstrations else []), *others)
+    return PreferenceSpace(names, static={core: 1.0})
 
 
-def make_train_env(cfg: DictConfig, space: PreferenceSpace) -> EnvBase:
+def make_train_env(
+    cfg: DictConfig, space: PreferenceSpace, reward_model: RewardModel | None
+) -> EnvBase:
     sampler = PreferenceSampler(
         space, law=cfg.preference.law, num_segments=cfg.preference.num_segments, seed=cfg.seed
     )
-    return make_policy_env(sampler, seed=cfg.seed, **cfg.env)
+    return make_policy_env(sampler, reward_model=reward_model, seed=cfg.seed, **cfg.env)
 
 
-def make_eval_env(cfg: DictConfig, space: PreferenceSpace) -> EnvBase:
+def make_eval_env(
+    cfg: DictConfig, space: PreferenceSpace, reward_model: RewardModel | None
+) -> EnvBase:
     kwargs = {**cfg.env, "num_envs": cfg.evaluation.episodes}
-    return make_policy_env(PreferenceSampler(space), seed=cfg.evaluation.seed, **kwargs)
+    sampler = PreferenceSampler(space)
+    return make_policy_env(sampler, reward_model=reward_model, seed=cfg.evaluation.seed, **kwargs)
 
 
 def make_policy(
@@ -153,11 +186,39 @@ def make_replay_buffer(
             PreferenceRelabel(
                 space,
                 ratio=cfg.preference.relabel_ratio,
-                law=cfg.preference.law,
+                law=cfg.preference.relabel_law,
                 seed=cfg.seed,
             ),
         ),
     )
+
+
+def prefill(
+    cfg: DictConfig,
+    replay_buffer: TensorDictReplayBuffer,
+    space: PreferenceSpace,
+    reward_model: RewardModel,
+) -> None:
+    """Put demonstrations into the buffer: vector rewards make them experience like any other."""
+    data, _ = load_demonstrations(cfg.demonstrations.dataset)
+    data = data[: cfg.demonstrations.prefill]
+    data = data[data["mask"]]
+    preference = torch.zeros(len(data), space.num_tunable)
+    preference[:, space.tunable.index("demo")] = 1.0
+    data["preference"] = preference
+    data["next", "preference"] = preference.clone()
+    data = RewardModelReward(reward_model, position=space.objectives.index("demo"))(data)
+    replay_buffer.extend(data.select(*TRANSITION))
+
+
+def demonstrated(cfg: DictConfig, card: dict[str, Any]) -> TensorDict:
+    """What the demonstrator does in the scenes of the evaluation."""
+    kwargs = {**cfg.env, "num_envs": cfg.evaluation.episodes}
+    env = NavigationEnv(seed=cfg.evaluation.seed, **kwargs)
+    start = env.reset()
+    env.close()
+    del kwargs["num_envs"]
+    return demonstrated_paths(CircleDemonstrator(**card["demonstrator"]), start, **kwargs)
 
 
 def step(optimizer: torch.optim.Optimizer, loss: Tensor, max_grad_norm: float) -> dict[str, Tensor]:
@@ -202,45 +263,46 @@ class Evaluation:
     def table(self, frames: int) -> str:
         """For the terminal."""
         lines = [f"after {frames:,} steps (score {self.score:.2f})"]
-        lines.append(f"{'preference':>12}" + "".join(f"{name:>11}" for name in self.columns))
+        lines.append(f"{'preference':>12}" + "".join(f"{name:>12}" for name in self.columns))
         for row, name in enumerate(self.names):
-            values = "".join(f"{column[row]:11.2f}" for column in self.columns.values())
+            values = "".join(f"{column[row]:12.2f}" for column in self.columns.values())
             lines.append(f"{name:>12}{values}")
         return "\n".join(lines)
 
 
 def evaluate(
-    cfg: DictConfig, env: EnvBase, actor: TensorDictModule, space: PreferenceSpace
+    cfg: DictConfig,
+    env: EnvBase,
+    actor: TensorDictModule,
+    space: PreferenceSpace,
+    demonstration: TensorDict | None,
 ) -> Evaluation:
     corners = space.corners()
     preferences = torch.cat((corners, corners.mean(0, keepdim=True)))
     data = rollout_preferences(
         env, actor, preferences, max_steps=cfg.env.max_episode_steps, seed=cfg.evaluation.seed
     )
-    mask = data["mask"]
-    end = mask.sum(-1, keepdim=True) - 1
-
-    def last(key: str) -> Tensor:
-        return data["next", key].squeeze(-1).gather(-1, end).squeeze(-1)
-
-    success = last("success")
-    collision = last("collision_human") | last("collision_obstacle")
+    mask, metrics = data["mask"], episode_metrics(data)
     reward = cfg.replay_buffer.reward_scale * data["next", "reward"]
     returns = (reward * mask.unsqueeze(-1)).sum(-2)  # [P, N, K]
     utility = (space.weights(preferences).unsqueeze(1) * returns).sum(-1)
-    started = torch.ones_like(mask[..., :1])
-    position, human = data["next", "pose"][..., :2], data["next", "human_pose"][..., :2]
-    nearest = min_human_distance(position, human, mask)
-    elapsed = time_to_goal(success, torch.cat((started, mask), -1), NavigationEnv.CONTROL_PERIOD)
+    collision = metrics["collision_human"] | metrics["collision_obstacle"]
     saturated = (data["action"].abs() > 0.99).float().mean(-1)
     columns = {
-        "success": 100 * success.float().mean(-1),
+        "success": 100 * metrics["success"].float().mean(-1),
         "collision": 100 * collision.float().mean(-1),
-        "timeout": 100 * last("truncated").float().mean(-1),
-        "time": elapsed.nanmean(-1),
-        "human": nearest.mean(-1),
+        "timeout": 100 * metrics["timeout"].float().mean(-1),
+        "time": metrics["time"].nanmean(-1),
+        "human": metrics["min_human_distance"].mean(-1),
         "saturated": (saturated * mask).sum((-2, -1)) / mask.sum((-2, -1)),
     }
+    if demonstration is not None:
+        path = trajectories(data)
+        frechet = discrete_frechet(
+            path["position"], path["mask"], demonstration["position"], demonstration["mask"]
+        )
+        columns["frechet"] = frechet[:, demonstration["free"]].mean(-1)
+        columns["frechet all"] = frechet.mean(-1)
     return Evaluation(
         names=(*space.tunable, "balanced"),
         columns={name: values.tolist() for name, values in columns.items()},
