@@ -74,8 +74,7 @@ class CircleDemonstrator(TensorDictModuleBase):
             raise ValueError(f"radius must be positive, got {radius} m.")
         if side not in ("left", "right"):
             raise ValueError(f"side must be 'left' or 'right', got {side!r}.")
-        if not 0 < speed <= robot.max_speed:
-            raise ValueError(f"speed must be in (0, {robot.max_speed}] m/s, got {speed}.")
+        _check_speed(speed, robot)
         self.in_keys = [goal_key, human_key]
         self.out_keys = [action_key]
         self.radius, self.side, self.speed = radius, side, speed
@@ -129,6 +128,9 @@ class StraightDriver(TensorDictModuleBase):
         goal_key: polar goal ``[*B, 2]`` (m, rad).
         action_key: where the action ``[*B, 2]`` is written.
         scaled: see :class:`CircleDemonstrator`.
+
+    Raises:
+        ValueError: for a speed that is not positive or above the robot's.
     """
 
     def __init__(
@@ -142,6 +144,7 @@ class StraightDriver(TensorDictModuleBase):
     ) -> None:
         super().__init__()
         robot = get_robot(robot)
+        _check_speed(speed, robot)
         self.in_keys, self.out_keys = [goal_key], [action_key]
         self.speed, self.scaled = speed, scaled
         self.max_speed, self.max_turn_rate = robot.max_speed, robot.max_turn_rate
@@ -156,6 +159,11 @@ class StraightDriver(TensorDictModuleBase):
             forward, turn = 2 * forward / self.max_speed - 1, turn / self.max_turn_rate
         tensordict.set(self.out_keys[0], torch.stack((forward, turn), dim=-1))
         return tensordict
+
+
+def _check_speed(speed: float, robot: Robot) -> None:
+    if not 0 < speed <= robot.max_speed:
+        raise ValueError(f"speed must be in (0, {robot.max_speed}] m/s, got {speed}.")
 
 
 def _cartesian(polar: Tensor) -> Tensor:

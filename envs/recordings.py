@@ -200,7 +200,10 @@ def _check_box(box: Sequence[float], place: str) -> None:
 def _load_arrays(path: Path) -> dict[str, np.ndarray]:
     optional = ("heading", "boxes", "trajectory")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        file = np.load(path, allow_pickle=False)
+        if not isinstance(file, np.lib.npyio.NpzFile):
+            raise ValueError("it holds a single array")
+        with file:
             arrays = {name: file[name] for name in file.files}
     # What is no archive at all is taken for a pickle, which is refused: a ValueError too.
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:

@@ -43,9 +43,14 @@ def at(values: torch.Tensor, step: torch.Tensor) -> torch.Tensor:
 
 
 class Pattern:
-    """What a rollout ``[N, T]`` passing on the left looks like from above, in the scene's frame."""
+    """What a rollout ``[N, T]`` passing on the left looks like from above, in the scene's frame.
 
-    def __init__(self, data: TensorDictBase, radius: torch.Tensor | float) -> None:
+    The corner starts 0.1 m outside of the radius; ``settled`` steps later the orbit has begun.
+    """
+
+    def __init__(
+        self, data: TensorDictBase, radius: torch.Tensor | float, settled: int = 3
+    ) -> None:
         radius = torch.as_tensor(radius, dtype=torch.float64).reshape(-1, 1)
         self.mask, self.steps = data["mask"], torch.arange(data.shape[1])
         pose, human = data["pose"], data["human_pose"][..., :2]
@@ -58,7 +63,8 @@ class Pattern:
         self.phase = wrap_angle(around - torch.atan2(way[..., 1], way[..., 0]))
         self.turned = wrap_angle(around.diff(dim=-1))  # per step, around the human
         self.corner = (self.distance <= radius + 0.1).int().argmax(1)
-        orbiting = self.steps >= self.corner[:, None] + 2
+        self.entry = self.corner + settled
+        orbiting = self.steps >= self.entry[:, None]
         self.leaving = (orbiting & (self.phase.abs() <= 0.1)).int().argmax(1)
 
     @staticmethod
@@ -110,7 +116,7 @@ def test_it_turns_left_by_a_right_angle_at_one_metre(data, pattern):
 
 
 def test_it_orbits_clockwise_on_the_circle(pattern):
-    orbit = pattern.between(pattern.corner + 2, pattern.leaving)
+    orbit = pattern.between(pattern.entry, pattern.leaving)
     assert ((pattern.distance - pattern.radius).abs()[orbit] < 0.05).all()
     assert (pattern.turned[orbit[:, :-1]] < 0).all()
     swept = torch.where(orbit[:, :-1], pattern.turned, 0.0).sum(1)
@@ -149,7 +155,7 @@ def test_a_radius_for_each_robot():
     data = roll_out(make_env(num_envs=60, snapshots=False), CircleDemonstrator(radius))
     assert succeeded(data).all()
     pattern = Pattern(data, radius)
-    orbit = pattern.between(pattern.corner + 2, pattern.leaving)
+    orbit = pattern.between(pattern.entry, pattern.leaving)
     assert ((pattern.distance - pattern.radius).abs()[orbit] < 0.05).all()
     for value in (0.7, 1.5):
         rows = radius == value
@@ -190,8 +196,9 @@ def test_the_right_side_is_the_mirror_image():
 
 @pytest.mark.parametrize("make", [CircleDemonstrator, StraightDriver])
 def test_scaled_actions_give_the_same_motion(make):
-    start = make_env(num_envs=20).reset()
-    raw = roll_out(make_env(num_envs=20), make(), start.clone())
+    env = make_env(num_envs=20)
+    start = env.reset()
+    raw = roll_out(env, make(), start.clone())
     env = TransformedEnv(make_env(num_envs=20), ActionScaling())
     scaled = roll_out(env, make(scaled=True), env.reset(start.clone(), set_state=True))
     assert torch.equal(raw["mask"], scaled["mask"])
@@ -221,8 +228,9 @@ def test_speed(speed):
     assert data["action"][..., 0].max() == pytest.approx(speed)
     moved = (data["next", "pose"] - data["pose"])[..., :2].norm(dim=-1)[data["mask"]]
     assert moved.max().item() == pytest.approx(0.2 * speed, rel=1e-3)
-    pattern = Pattern(data, 1.0)
-    orbit = pattern.between(pattern.corner + 2, pattern.leaving)
+    # The slower, the more steps from 0.1 m outside onto the circle.
+    pattern = Pattern(data, 1.0, settled=10)
+    orbit = pattern.between(pattern.entry, pattern.leaving)
     assert ((pattern.distance - 1.0).abs()[orbit] < 0.05).all()
 
 

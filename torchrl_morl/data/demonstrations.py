@@ -57,7 +57,11 @@ def save_demonstrations(
             f"trajectories need a boolean 'mask' of shape {list(trajectories.batch_size)}."
         )
     flat = trajectories.flatten_keys("/")
-    tensors = {name: value.contiguous().cpu() for name, value in flat.items()}
+    # Copies: the file format refuses tensors that share memory, as done and terminated may.
+    tensors = {
+        name: value.cpu().clone(memory_format=torch.contiguous_format)
+        for name, value in flat.items()
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
     save_file(tensors, path, {"format": _FORMAT, "metadata": json.dumps(metadata)})
     return path
@@ -89,5 +93,7 @@ def load_demonstrations(path: str | Path) -> tuple[TensorDict, dict[str, Any]]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}
     except SafetensorError as error:
         raise ValueError(f"{path} is not a safetensors file: {error}.") from error
+    if "mask" not in tensors:
+        raise ValueError(f"{path} has no 'mask': it was not written by save_demonstrations.")
     data = TensorDict(tensors, batch_size=tensors["mask"].shape).unflatten_keys("/")
     return data, json.loads(header["metadata"])

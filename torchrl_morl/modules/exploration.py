@@ -78,7 +78,8 @@ class HeldEGreedyModule(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Replace the actions of the environments that are in a noisy stretch."""
-        if exploration_type() != ExplorationType.RANDOM:
+        # Like TorchRL's own exploration modules: random unless something else is asked for.
+        if exploration_type() not in (ExplorationType.RANDOM, None):
             return tensordict
         action = tensordict.get(self.action_key)
         shape = tensordict.batch_size
@@ -87,7 +88,7 @@ class HeldEGreedyModule(TensorDictModuleBase):
         if left is None:
             left = torch.zeros(*shape, 1, dtype=torch.int64, device=action.device)
             held = torch.zeros_like(action)
-        # Noisy stretches of `hold` steps alternate with pauses of mean length 1 / start.
+        # Noisy stretches of `hold` steps alternate with pauses of mean length 1 / start - 1.
         start = self.eps / (self.hold * (1 - self.eps) + self.eps)
         draw = torch.rand(*shape, 1, generator=self.generator).to(action.device)
         begins = (left == 0) & (draw < start)
