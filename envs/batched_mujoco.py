@@ -108,6 +108,7 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
         self.model = self._make_model()
         self._open_batch()
         self._elapsed = torch.zeros(num_envs, 1, dtype=torch.int64)
+        self._blank: TensorDictBase | None = None
         self.rng = torch.Generator()
         # torch.seed() would reseed the caller's global generator.
         self.set_seed(self.rng.seed() % 2**31 if seed is None else seed)
@@ -292,11 +293,14 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
             out = TensorDict(rows, batch_size=self.batch_size)
         else:
             # Only the rows being reset are read from the result; the others stay what they were.
-            out = self.observation_spec.zero().to("cpu")
+            if self._blank is None:
+                self._blank = self.observation_spec.zero().to("cpu")
+            out = self._blank.clone()
             if self.from_pixels:
                 # A VideoRecorder does read them: the others keep their last picture.
                 out["pixels"] = self._pixels.clone()
-            out[ids] = TensorDict(rows, batch_size=ids.shape)
+            for key, values in rows.items():
+                out.get(key)[ids] = values
         return out.to(self.device) if self.device is not None else out
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -18,7 +18,7 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
-from .geometry import point_box_distance, rotate, wrap_angle
+from .geometry import wrap_angle
 from .mjcf import LIDAR_HEIGHT, Drive, navigation_mjcf, time_step
 from .rendering import Camera
 from .robots import Robot, get_robot
@@ -34,6 +34,7 @@ DISTANCE_MINIMUM = 0.3
 _MARGIN = 0.6
 _WALL = 2.0
 
+_SCENE_BLOCK = 64
 _LIDAR_GROUPS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 
 
@@ -179,24 +180,30 @@ class NavigationEnv(BatchedMujocoEnv):
         angles = 2 * math.pi * torch.arange(self.num_rays, dtype=torch.float64) / self.num_rays
         in_view = wrap_angle(angles).abs() <= self.robot.lidar_fov / 2 + 1e-9
         self._ray_ids = in_view.nonzero().squeeze(-1)
-        self._ray_angles = angles[self._ray_ids].numpy()
+        angles = angles[self._ray_ids]
+        self._rays = torch.stack((angles.cos(), angles.sin()), dim=-1).numpy()
         return model
 
     def _open_batch(self) -> None:
         super()._open_batch()
         self._box_sizes = self.batch.expand("geom_size") if self._box_geoms else None
+        # As large as the native call wants them, which copies anything smaller.
+        self._ray_origin = np.full((self.num_envs, len(self._rays), 3), LIDAR_HEIGHT)
+        self._ray_direction = np.zeros_like(self._ray_origin)
 
     def __getstate__(self) -> dict[str, Any]:
         state = super().__getstate__()
-        state.pop("_box_sizes")
+        for name in ("_box_sizes", "_ray_origin", "_ray_direction"):
+            state.pop(name)
         return state
 
     def _make_action_spec(self) -> Bounded:
-        low = torch.tensor([0.0, -self.robot.max_turn_rate], dtype=self.dtype)
-        high = torch.tensor([self.robot.max_speed, self.robot.max_turn_rate], dtype=self.dtype)
+        turn = self.robot.max_turn_rate
+        self._action_low = torch.tensor([0.0, -turn], dtype=torch.float64)
+        self._action_high = torch.tensor([self.robot.max_speed, turn], dtype=torch.float64)
         return Bounded(
-            low=low.expand(self.num_envs, 2).clone(),
-            high=high.expand(self.num_envs, 2).clone(),
+            low=self._action_low.to(self.dtype).repeat(self.num_envs, 1),
+            high=self._action_high.to(self.dtype).repeat(self.num_envs, 1),
             dtype=self.dtype,
         )
 
@@ -228,11 +235,19 @@ class NavigationEnv(BatchedMujocoEnv):
             spec["scene"] = scene
             if self.perturbation.latency:
                 spec["pending_action"] = Unbounded(shape=(n, 2), dtype=torch.float64)
-        # The episode's task, as ground truth on the CPU.
-        self._task = Composite(human_pose=spec["human_pose"], scene=scene, shape=(n,)).zero()
+        # The episode's task, as ground truth on the CPU: plain tensors, which cost less to index.
+        self._human_pose = spec["human_pose"].zero()
+        self._goal, self._human_goal, self._boxes = (
+            scene[key].zero() for key in ("goal", "human_goal", "boxes")
+        )
+        self._box_axes = torch.zeros(n, self.scene.num_boxes, 2, 2, dtype=torch.float64)
+        # From the robot to goal and human, and how far they are.
+        self._way = torch.zeros(2, n, 2, dtype=torch.float64)
+        self._distance = torch.zeros(2, n, dtype=torch.float64)
         self._flags = torch.zeros(n, 3, dtype=torch.bool)
         self._pending = torch.zeros(n, 2, dtype=torch.float64)
-        self._extent = torch.zeros(n, 2, 2, dtype=torch.float64)
+        # Where robot and human were at the start: pictures show it.
+        self._began = torch.zeros(n, 2, 2, dtype=torch.float64)
         return spec
 
     def _make_state_spec(self, snapshot: Composite, observation: Composite) -> Composite:
@@ -246,14 +261,11 @@ class NavigationEnv(BatchedMujocoEnv):
     def _sample_initial_state(
         self, ids: Tensor, tensordict: TensorDictBase | None
     ) -> tuple[Tensor, Tensor]:
-        sampled = self.scene.sample(ids.numel(), self.robot.radius, self.rng)
-        self._task[ids] = TensorDict(
-            {
-                "human_pose": sampled["human"],
-                "scene": sampled.select("goal", "human_goal", "boxes"),
-            },
-            batch_size=ids.shape,
-        )
+        sampled = self._next_scenes(ids.numel())
+        self._human_pose[ids] = sampled["human"]
+        self._goal[ids] = sampled["goal"]
+        self._human_goal[ids] = sampled["human_goal"]
+        self._boxes[ids] = sampled["boxes"]
         self._pending[ids] = 0.0
         start = sampled["start"]
         qvel = torch.zeros(ids.numel(), self.model.nv, dtype=torch.float64)
@@ -264,32 +276,54 @@ class NavigationEnv(BatchedMujocoEnv):
         qpos[:, 3:7] = _yaw_quaternion(start[:, 2])
         return qpos, qvel
 
+    def _next_scenes(self, n: int) -> TensorDictBase:
+        """The next ``n`` scenes of the stream that the seed fixes.
+
+        They are drawn in blocks, since a block costs little more than a single scene.
+        """
+        while self._scenes is None or len(self._scenes) < n:
+            block = self.scene.sample(_SCENE_BLOCK, self.robot.radius, self.rng)
+            self._scenes = block if self._scenes is None else torch.cat((self._scenes, block))
+        taken, self._scenes = self._scenes[:n], self._scenes[n:]
+        return taken
+
     def _load_snapshot(self, ids: Tensor, tensordict: TensorDictBase) -> None:
         super()._load_snapshot(ids, tensordict)
-        self._task[ids] = tensordict.select("human_pose", "scene").to("cpu")[ids]
+        for key, values in (
+            ("human_pose", self._human_pose),
+            (("scene", "goal"), self._goal),
+            (("scene", "human_goal"), self._human_goal),
+            (("scene", "boxes"), self._boxes),
+        ):
+            values[ids] = tensordict.get(key).cpu()[ids]
         if self.perturbation.latency:
             self._pending[ids] = tensordict.get("pending_action").cpu()[ids]
 
     def _on_reset(self, ids: Tensor) -> None:
         self._flags[ids] = False
-        self._extent[ids] = self._scene_extent(ids)
-        position, quaternion = self._view["mocap_pos"], self._view["mocap_quat"]
-        goal, boxes = self._task["scene", "goal"][ids], self._task["scene", "boxes"][ids]
-        position[ids, self._mocap_goal, :2] = goal
-        self._place_human(ids)
-        for slot, (mocap, geom) in enumerate(zip(self._mocap_boxes, self._box_geoms, strict=True)):
-            box = boxes[:, slot]
-            position[ids, mocap, :2] = box[:, :2]
-            quaternion[ids, mocap] = _yaw_quaternion(box[:, 2])
-            self._box_sizes[ids.numpy(), geom, :2] = box[:, 3:].numpy()
-        if self._box_geoms:
-            # Bounding volumes follow the new sizes only through set_const.
-            self.batch.set_const(ids.numpy())
+        self._began[ids, 0] = self._view["qpos"][ids, :2]
+        self._began[ids, 1] = self._human_pose[ids, :2]
+        self._locate()
+        # Mocap bodies of all environments: what has not changed is written again, which costs
+        # less than picking rows.
+        self._view["mocap_pos"][:, self._mocap_goal, :2] = self._goal
+        self._place_human()
+        if not self._box_geoms:
+            return
+        yaw = self._boxes[..., 2]
+        cos, sin = yaw.cos(), yaw.sin()
+        torch.stack((cos, sin, -sin, cos), dim=-1, out=self._box_axes.flatten(-2))
+        self._view["mocap_pos"][:, self._mocap_boxes, :2] = self._boxes[..., :2]
+        self._view["mocap_quat"][:, self._mocap_boxes] = _yaw_quaternion(yaw)
+        # Bounding volumes follow the new sizes only through set_const.
+        rows = ids.numpy()
+        self._box_sizes[rows[:, None], self._box_geoms, :2] = self._boxes[ids, :, 3:].numpy()
+        self.batch.set_const(rows)
 
-    def _place_human(self, ids: Tensor | slice) -> None:
-        human = self._task["human_pose"][ids]
-        self._view["mocap_pos"][ids, self._mocap_human, :2] = human[:, :2]
-        self._view["mocap_quat"][ids, self._mocap_human] = _yaw_quaternion(human[:, 2])
+    def _place_human(self) -> None:
+        x_y, yaw = self._human_pose[:, :2], self._human_pose[:, 2]
+        self._view["mocap_pos"][:, self._mocap_human, :2] = x_y
+        self._view["mocap_quat"][:, self._mocap_human] = _yaw_quaternion(yaw)
 
     # --- step ----------------------------------------------------------------------------------
 
@@ -297,14 +331,15 @@ class NavigationEnv(BatchedMujocoEnv):
         action = action.double()
         if self.perturbation.latency:
             action, self._pending = self._pending, action.clone()
-        low = torch.tensor([0.0, -self.robot.max_turn_rate], dtype=torch.float64)
-        high = torch.tensor([self.robot.max_speed, self.robot.max_turn_rate], dtype=torch.float64)
+        low, high = self._action_low, self._action_high
         if self.perturbation.velocity_noise:
             noise = torch.randn(action.shape, generator=self._fault_rng, dtype=torch.float64)
             action = action + self.perturbation.velocity_noise * (high - low) * noise
-        speed, turn = action.clamp(low, high).unbind(-1)
+        action = action.clamp(low, high)
         if self.drive == "planar":
-            return torch.stack((speed, turn, torch.zeros_like(speed)), dim=-1)
+            # The third servo keeps the base from slipping sideways.
+            return torch.nn.functional.pad(action, (0, 1))
+        speed, turn = action.unbind(-1)
         half = self.robot.wheel_separation / 2
         wheels = torch.stack((speed - half * turn, speed + half * turn), dim=-1)
         return wheels / self.robot.wheel_radius
@@ -312,12 +347,12 @@ class NavigationEnv(BatchedMujocoEnv):
     def _before_physics(self) -> None:
         if not self.scene.human_speed:
             return
-        human, target = self._task["human_pose"], self._task["scene", "human_goal"]
-        way = target - human[:, :2]
+        human = self._human_pose
+        way = self._human_goal - human[:, :2]
         left = way.norm(dim=-1, keepdim=True)
         step = torch.minimum(left, torch.full_like(left, self.scene.human_speed * 0.2))
         human[:, :2] += torch.where(left > 0, way / left.clamp_min(1e-9) * step, 0.0)
-        self._place_human(slice(None))
+        self._place_human()
 
     def _pose(self, qpos: Tensor) -> Tensor:
         """Pose (x, y, heading in (-pi, pi]) of every robot in ``qpos`` [n, nq]."""
@@ -328,28 +363,36 @@ class NavigationEnv(BatchedMujocoEnv):
             yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         return torch.cat((qpos[:, :2], wrap_angle(yaw)[:, None]), dim=-1)
 
+    def _locate(self) -> None:
+        """Where goal and human are, for the ends of episodes, rewards and observations alike."""
+        points = torch.stack((self._goal, self._human_pose[:, :2]))
+        torch.sub(points, self._view["qpos"][:, :2], out=self._way)
+        torch.linalg.vector_norm(self._way, dim=-1, out=self._distance)
+
     def _compute_terminated(self, state: PhysicsState, next_state: PhysicsState) -> Tensor:
-        position = next_state.qpos[:, :2]
-        human = (position - self._task["human_pose"][:, :2]).norm(dim=-1)
+        self._locate()
+        goal, human = self._distance
         hit_human = human <= self.robot.radius + HUMAN_RADIUS
-        boxes = self._task["scene", "boxes"]
-        hit_box = (point_box_distance(position[:, None], boxes) <= self.robot.radius).any(-1)
-        hit_box &= ~hit_human
-        reached = (position - self._task["scene", "goal"]).norm(dim=-1) <= self.goal_radius
-        reached &= ~(hit_human | hit_box)
-        self._flags = torch.stack((reached, hit_human, hit_box), dim=-1)
+        hit_box = self._touches_box(next_state.qpos[:, :2]) & ~hit_human
+        reached = (goal <= self.goal_radius) & ~(hit_human | hit_box)
+        torch.stack((reached, hit_human, hit_box), dim=-1, out=self._flags)
         return self._flags.any(-1, keepdim=True)
+
+    def _touches_box(self, position: Tensor) -> Tensor:
+        """Whether robots at ``[n, 2]`` overlap a box of theirs."""
+        centre, half = self._boxes[..., :2], self._boxes[..., 3:]
+        local = (self._box_axes * (position[:, None] - centre)[..., None, :]).sum(-1)
+        outside = (local.abs() - half).clamp_min(0.0)
+        return (torch.linalg.vector_norm(outside, dim=-1) <= self.robot.radius).any(-1)
 
     def _compute_reward(
         self, state: PhysicsState, action: Tensor, next_state: PhysicsState
     ) -> Tensor:
-        goal, human = self._task["scene", "goal"], self._task["human_pose"][:, :2]
-        before = (state.qpos[:, :2] - goal).norm(dim=-1)
-        position = next_state.qpos[:, :2]
-        after = (position - goal).norm(dim=-1)
+        before = torch.linalg.vector_norm(self._goal - state.qpos[:, :2], dim=-1)
+        after, human = self._distance
         collided = self._flags[:, 1:].any(-1)
         core = GOAL_REWARD * (before - after) + COLLISION_REWARD * collided
-        closeness = (DISTANCE_THRESHOLD - (position - human).norm(dim=-1)).clamp_min(0.0)
+        closeness = (DISTANCE_THRESHOLD - human).clamp_min(0.0)
         distance = STYLE_PENALTY * (closeness / (DISTANCE_THRESHOLD - DISTANCE_MINIMUM)) ** 2
         efficiency = torch.full_like(core, STYLE_PENALTY)
         return torch.stack((core, distance, efficiency), dim=-1)
@@ -359,33 +402,45 @@ class NavigationEnv(BatchedMujocoEnv):
     def _make_obs(self, ids: Tensor | None = None) -> dict[str, Tensor | TensorDictBase]:
         rows = slice(None) if ids is None else ids
         pose = self._pose(self._view["qpos"][rows])
-        human, scene = self._task["human_pose"][rows], self._task["scene"][rows]
-        flags = self._flags[rows]
+        cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
+        x, y = self._way[:, rows].unbind(-1)
+        bearing = torch.atan2(cos * y - sin * x, cos * x + sin * y)
+        goal, human = torch.stack((self._distance[:, rows], bearing), dim=-1).to(self.dtype)
+        flags = self._flags[rows].clone()
         out = {
-            "scan": self._scan(pose, ids).to(self.dtype),
-            "goal": _polar(scene["goal"], pose).to(self.dtype),
-            "human": _polar(human[:, :2], pose).to(self.dtype),
+            "scan": self._scan(pose, cos, sin, ids).to(self.dtype),
+            "goal": goal,
+            "human": human,
             "success": flags[:, 0:1],
             "collision_human": flags[:, 1:2],
             "collision_obstacle": flags[:, 2:3],
             "pose": pose,
-            "human_pose": human.clone(),
+            "human_pose": self._human_pose[rows].clone(),
         }
         if self.snapshots:
-            out["scene"] = scene.clone()
+            scene = {"goal": self._goal, "human_goal": self._human_goal, "boxes": self._boxes}
+            out["scene"] = TensorDict(
+                {key: values[rows].clone() for key, values in scene.items()},
+                batch_size=pose.shape[:1],
+            )
         if self.snapshots and self.perturbation.latency:
             out["pending_action"] = self._pending[rows].clone()
         return out
 
-    def _scan(self, pose: Tensor, ids: Tensor | None) -> Tensor:
+    def _scan(self, pose: Tensor, cos: Tensor, sin: Tensor, ids: Tensor | None) -> Tensor:
         """Lidar ranges ``[n, num_rays]``: one native call casts the rays of all environments."""
-        pose = pose.numpy()
-        angle = pose[:, 2:] + self._ray_angles
-        direction = np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=-1)
-        origin = np.zeros((len(pose), 1, 3))
-        heading = np.stack((np.cos(pose[:, 2]), np.sin(pose[:, 2])), axis=-1)
-        origin[:, 0, :2] = pose[:, :2] + self.robot.lidar_offset * heading
-        origin[:, 0, 2] = LIDAR_HEIGHT
+        n = len(pose)
+        x, y = pose[:, 0:1].numpy(), pose[:, 1:2].numpy()
+        cos, sin = cos.numpy(), sin.numpy()
+        # Rotated from the robot's frame: cheaper than a sine and a cosine for every ray.
+        turn = np.zeros((n, 2, 3))
+        turn[:, 0, 0] = turn[:, 1, 1] = cos
+        turn[:, 0, 1] = sin
+        turn[:, 1, 0] = -sin
+        direction = np.matmul(self._rays, turn, out=self._ray_direction[:n])
+        origin = self._ray_origin[:n]
+        origin[..., 0] = x + self.robot.lidar_offset * cos[:, None]
+        origin[..., 1] = y + self.robot.lidar_offset * sin[:, None]
         distance, _ = self.batch.ray(
             origin,
             direction,
@@ -393,8 +448,8 @@ class NavigationEnv(BatchedMujocoEnv):
             bodyexclude=self._robot_body,
             ids=None if ids is None else ids.numpy(),
         )
+        np.copyto(distance, self.max_range, where=distance < 0)
         hit = torch.from_numpy(distance)
-        hit = torch.where(hit < 0, self.max_range, hit)
         fault = self.perturbation
         if fault.range_noise:
             noise = torch.randn(hit.shape, generator=self._fault_rng, dtype=hit.dtype)
@@ -402,24 +457,26 @@ class NavigationEnv(BatchedMujocoEnv):
         if fault.dropout:
             lost = torch.rand(hit.shape, generator=self._fault_rng, dtype=hit.dtype) < fault.dropout
             hit = hit.masked_fill(lost, self.max_range)
-        scan = torch.full((len(pose), self.num_rays), self.max_range, dtype=torch.float64)
         # Zero would mean "no reading" to many drivers: the nearest range is a millimetre.
-        scan[:, self._ray_ids] = hit.clamp(1e-3, self.max_range)
+        hit = hit.clamp_(1e-3, self.max_range)
+        if len(self._ray_ids) == self.num_rays:
+            return hit
+        scan = torch.full((n, self.num_rays), self.max_range, dtype=torch.float64)
+        scan[:, self._ray_ids] = hit
         return scan
 
     # --- rendering -----------------------------------------------------------------------------
 
-    def _scene_extent(self, ids: Tensor) -> Tensor:
-        """Lower and upper corner ``[n, 2, 2]`` of what a picture from above should contain."""
-        scene, boxes = self._task["scene"][ids], self._task["scene", "boxes"][ids]
-        robot, human = self._view["qpos"][ids, :2], self._task["human_pose"][ids, :2]
-        points = torch.stack((robot, human, scene["goal"], scene["human_goal"]), dim=1)
-        radius = boxes[..., 3:].norm(dim=-1, keepdim=True)
+    def _scene_extent(self, index: int) -> Tensor:
+        """Lower and upper corner ``[2, 2]`` of what a picture from above should contain."""
+        boxes = self._boxes[index]
+        points = torch.stack((*self._began[index], self._goal[index], self._human_goal[index]))
+        radius = boxes[:, 3:].norm(dim=-1, keepdim=True)
         # Walls reach far beyond the way: they may be cut.
         radius = radius.masked_fill(radius > _WALL, -math.inf)
-        low = torch.cat((points, boxes[..., :2] - radius), dim=1).amin(1)
-        high = torch.cat((points, boxes[..., :2] + radius), dim=1).amax(1)
-        return torch.stack((low - _MARGIN, high + _MARGIN), dim=1)
+        low = torch.cat((points, boxes[:, :2] - radius)).amin(0)
+        high = torch.cat((points, boxes[:, :2] + radius)).amax(0)
+        return torch.stack((low - _MARGIN, high + _MARGIN))
 
     def _camera(self, camera: str | Camera, index: int, aspect: float) -> Camera | str:
         if camera not in ("top", "chase"):
@@ -430,7 +487,7 @@ class NavigationEnv(BatchedMujocoEnv):
             lookat = (x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), height)
             distance = 3.6 + self.robot.height
             return Camera(lookat, math.degrees(yaw), -24.0, distance)
-        (left, bottom), (right, top) = self._extent[index].tolist()
+        (left, bottom), (right, top) = self._scene_extent(index).tolist()
         # Fixed during an episode, unless the robot leaves.
         left, right = min(left, x - _MARGIN), max(right, x + _MARGIN)
         bottom, top = min(bottom, y - _MARGIN), max(top, y + _MARGIN)
@@ -440,15 +497,10 @@ class NavigationEnv(BatchedMujocoEnv):
     def _set_seed(self, seed: int | None) -> None:
         super()._set_seed(seed)
         if seed is not None:
+            self._scenes: TensorDictBase | None = None
             self._fault_rng.manual_seed(seed + 1)
 
 
 def _yaw_quaternion(yaw: Tensor) -> Tensor:
     zero = torch.zeros_like(yaw)
     return torch.stack(((yaw / 2).cos(), zero, zero, (yaw / 2).sin()), dim=-1)
-
-
-def _polar(point: Tensor, pose: Tensor) -> Tensor:
-    """Distance and bearing of world points ``[n, 2]`` seen from poses ``[n, 3]``."""
-    local = rotate(point - pose[:, :2], -pose[:, 2])
-    return torch.stack((local.norm(dim=-1), torch.atan2(local[:, 1], local[:, 0])), dim=-1)

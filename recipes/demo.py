@@ -12,10 +12,11 @@ from pathlib import Path
 import torch
 import tqdm
 
+from envs.demonstrator import CircleDemonstrator
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import steerability
 
-from .figures import sweep_figure, switch_figure
+from .figures import Row, sweep_figure, switch_figure
 from .film import film
 from .sweep import edge, sweep
 from .switch import switch
@@ -35,51 +36,77 @@ def main() -> None:
     args = parser.parse_args()
 
     torch.set_num_threads(1)
-    actor, space, _ = load_policy(args.policy)
-    first, second = "efficiency", "distance"
-    preferences = edge(space, first, second, args.steps)
+    actor, space, card = load_policy(args.policy)
+    demonstrator = None
+    if "demonstrator" in card:
+        demonstrator = CircleDemonstrator(**card["demonstrator"])
     args.output.mkdir(parents=True, exist_ok=True)
 
-    print(f"Sweep from {first} to {second}: {args.steps} preferences x {args.episodes} scenes")
-    with tqdm.tqdm(total=args.steps, unit="preference") as progress:
-        statistics = sweep(
-            actor,
-            space,
-            preferences,
-            episodes=args.episodes,
-            seed=args.seed,
-            scene="static",
-            goal_radius=GOAL_RADIUS,
-            on_preference=lambda _: progress.update(),
-        )
-    print(statistics.table())
-    column = space.tunable.index(second)
-    for name in ("min_human_distance", "time"):
-        rho = steerability(preferences[:, column], statistics.mean(name))
-        print(f"Spearman rho between the weight of {second} and mean {name}: {rho:.3f}")
+    # The rows of the paper: each trades two objectives off, the others have no weight.
+    edges = space.pairwise_grid(args.steps).unflatten(0, (-1, args.steps))
+    rows = []
+    print(f"{len(edges)} sweeps of {args.steps} preferences x {args.episodes} scenes")
+    with tqdm.tqdm(total=len(edges) * args.steps, unit="preference") as progress:
+        for preferences in edges:
+            statistics = sweep(
+                actor,
+                space,
+                preferences,
+                episodes=args.episodes,
+                seed=args.seed,
+                scene="static",
+                goal_radius=GOAL_RADIUS,
+                demonstrator=demonstrator,
+                on_preference=lambda _: progress.update(),
+            )
+            showcase = sweep(
+                actor,
+                space,
+                preferences,
+                episodes=1,
+                seed=0,
+                scene="showcase",
+                goal_radius=GOAL_RADIUS,
+                demonstrator=demonstrator,
+            )
+            first, second = (space.tunable[preferences[i].argmax()] for i in (0, -1))
+            rows.append(Row(first, second, showcase, statistics))
+    for row in rows:
+        print(f"\nfrom {row.first} to {row.second}")
+        print(row.statistics.table())
+        print(steered(row))
 
-    showcase = sweep(
-        actor, space, preferences, episodes=1, seed=0, scene="showcase", goal_radius=GOAL_RADIUS
-    )
     figure = args.output / "trajectories.png"
-    sweep_figure(figure, showcase, statistics, first=first, second=second, goal_radius=GOAL_RADIUS)
-    change = switch(actor, space, edge(space, first, second, 2), goal_radius=GOAL_RADIUS)
+    sweep_figure(figure, rows, goal_radius=GOAL_RADIUS)
+    change = switch(actor, space, edge(space, "efficiency", "distance", 2), goal_radius=GOAL_RADIUS)
     switched = args.output / "switch.png"
     switch_figure(
         switched,
         change.paths,
         change.actions,
-        showcase.scenes[0],
-        names=(first, second, f"{first}, then {second}"),
+        rows[0].showcase.scenes[0],
+        names=("efficiency", "distance", "efficiency, then distance"),
         switch_step=change.switch_step,
         goal_radius=GOAL_RADIUS,
     )
     print(
-        f"Preference changed after {change.switch_step * 0.2:.1f} s: {change.separation:.2f} m off "
-        "the old path one second later"
+        f"\nPreference changed after {change.switch_step * 0.2:.1f} s: {change.separation:.2f} m "
+        "off the old path one second later"
     )
-    movie = film(args.output / "sweep.gif", actor, space, edge(space, first, second, 3))
+    movie = film(args.output / "sweep.gif", actor, space, space.corners())
     print(f"Pictures: {figure}, {switched}; film: {movie}")
+
+
+def steered(row: Row) -> str:
+    """Rank correlations between a weight and the metric that it steers."""
+    parts = []
+    steers = {"distance": "min_human_distance", "efficiency": "time", "demo": "frechet"}
+    for name in (row.first, row.second):
+        metric = steers[name]
+        weight = row.statistics.preferences[:, row.statistics.space.tunable.index(name)]
+        rho = steerability(weight, row.statistics.mean(metric))
+        parts.append(f"{name} -> {metric}: {rho:+.2f}")
+    return "Spearman rho of weight and mean metric: " + ", ".join(parts)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import matplotlib
@@ -10,6 +11,7 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+import torch
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from tensordict import TensorDict
@@ -19,6 +21,12 @@ from envs import HUMAN_RADIUS, NavigationEnv
 from torchrl_morl.evaluation import PREFERENCE_COLORS, draw_paths, draw_scene
 
 from .sweep import Sweep
+
+_LABELS = {
+    "min_human_distance": "smallest distance to the human / m",
+    "time": "time to the goal / s",
+    "frechet": "Frechet distance to the demonstration / m",
+}
 
 
 def _scene(ax: plt.Axes, scene: TensorDict, goal_radius: float) -> None:
@@ -33,58 +41,65 @@ def _scene(ax: plt.Axes, scene: TensorDict, goal_radius: float) -> None:
     )
 
 
-def sweep_figure(
-    path: Path, showcase: Sweep, statistics: Sweep, *, first: str, second: str, goal_radius: float
-) -> None:
-    """Paths from ``first`` to ``second`` in the showcase and three random scenes, with statistics."""
-    share = statistics.preferences[:, statistics.space.tunable.index(second)]
-    fig = plt.figure(figsize=(14, 7.6), layout="constrained")
-    left, right = fig.subfigures(1, 2, width_ratios=[1.5, 1])
-    above, below = left.subfigures(2, 1, height_ratios=[1.35, 1])
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """A sweep from one objective to another, in the showcase scene and in random ones."""
 
-    main = above.subplots()
-    _scene(main, showcase.scenes[0], goal_radius)
-    draw_paths(main, showcase.paths["position"][:, 0], showcase.paths["mask"][:, 0], share)
-    main.set_title(f"One policy, {len(share)} preferences: from {first} to {second}")
-    bar = above.colorbar(ScalarMappable(Normalize(0, 1), PREFERENCE_COLORS), ax=main, pad=0.01)
-    bar.set_label(f"weight of {second}\n(the rest on {first})")
+    first: str
+    second: str
+    showcase: Sweep
+    statistics: Sweep
 
-    metrics = statistics.metrics
-    count = metrics.shape[1]
-    for ax, name, label in zip(
-        below.subplots(1, 2),
-        ("min_human_distance", "time"),
-        ("smallest distance to the human / m", "time to the goal / s"),
-        strict=True,
-    ):
-        values = np.asarray(metrics[name].float())
-        low, middle, high = np.nanpercentile(values, [25, 50, 75], axis=1)
-        ax.fill_between(share, low, high, alpha=0.25, color="#0072b2", label="middle half")
-        ax.plot(share, np.nanmean(values, axis=1), "o-", color="#0072b2", label="mean")
-        ax.plot(share, middle, "--", color="0.4", label="median")
-        ax.set_xlabel(f"weight of {second}")
-        ax.set_ylabel(label)
-        ax.grid(alpha=0.3)
-        ax.legend(fontsize=8, loc="upper left")
-    success = 100 * metrics["success"].float().mean()
-    below.suptitle(
-        f"{count} random scenes a preference, success {success:.1f} % "
-        f"(n = {metrics['success'].numel():,})",
-        fontsize=10,
+
+def sweep_figure(path: Path, rows: list[Row], *, goal_radius: float) -> None:
+    """A line of pictures for every sweep: showcase, a random scene, and two statistics."""
+    with_demo = rows[0].showcase.demonstration is not None
+    fig, axes = plt.subplots(
+        len(rows),
+        4,
+        figsize=(17, 3.6 * len(rows)),
+        width_ratios=[1.9, 1.4, 1, 1],
+        layout="constrained",
+        squeeze=False,
     )
-
-    scenes = min(3, count)
-    for index, ax in enumerate(right.subplots(scenes, 1, squeeze=False)[:, 0]):
-        _scene(ax, statistics.scenes[index], goal_radius)
-        draw_paths(
-            ax,
-            statistics.paths["position"][:, index],
-            statistics.paths["mask"][:, index],
-            share,
-            linewidth=1.2,
+    for line, row in zip(axes, rows, strict=True):
+        share = row.statistics.preferences[:, row.statistics.space.tunable.index(row.second)]
+        for ax, result, index in ((line[0], row.showcase, 0), (line[1], row.statistics, 0)):
+            _scene(ax, result.scenes[index], goal_radius)
+            draw_paths(
+                ax, result.paths["position"][:, index], result.paths["mask"][:, index], share
+            )
+            if result.demonstration is not None:
+                black = result.demonstration[index]
+                ax.plot(*black["position"][black["mask"]].T, color="black", linewidth=1.3)
+        line[0].set_title(f"from {row.first} to {row.second}")
+        line[1].set_title("a random scene")
+        bar = fig.colorbar(
+            ScalarMappable(Normalize(0, 1), PREFERENCE_COLORS), ax=line[0], pad=0.01, aspect=12
         )
-        ax.set_title(f"random scene {index + 1}", fontsize=10)
-    fig.savefig(path, dpi=110)
+        bar.set_label(f"weight of {row.second}")
+        shown = ["min_human_distance", "time"]
+        if with_demo and "demo" in (row.first, row.second):
+            shown[0 if row.second == "efficiency" or row.first == "efficiency" else 1] = "frechet"
+        metrics = row.statistics.metrics
+        for ax, name in zip(line[2:], shown, strict=True):
+            values = np.asarray(metrics[name].float())
+            low, middle, high = np.nanpercentile(values, [25, 50, 75], axis=1)
+            ax.fill_between(share, low, high, alpha=0.25, color="#0072b2", label="middle half")
+            ax.plot(share, np.nanmean(values, axis=1), "o-", color="#0072b2", label="mean")
+            ax.plot(share, middle, "--", color="0.4", label="median")
+            ax.set_xlabel(f"weight of {row.second}")
+            ax.set_ylabel(_LABELS[name])
+            ax.grid(alpha=0.3)
+            ax.set_title(f"{metrics.shape[1]} random scenes", fontsize=10)
+    axes[0, 2].legend(fontsize=8)
+    success = torch.cat([row.statistics.metrics["success"].flatten() for row in rows])
+    black = ", demonstration in black" if with_demo else ""
+    fig.suptitle(
+        f"One policy, {len(rows) * len(share)} preferences{black}: "
+        f"success {100 * success.float().mean():.1f} % (n = {success.numel():,})"
+    )
+    fig.savefig(path, dpi=100)
     plt.close(fig)
 
 

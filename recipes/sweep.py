@@ -11,9 +11,10 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
+from envs.demonstrator import CircleDemonstrator, demonstrated_paths
 from envs.metrics import episode_metrics, trajectories
 from envs.policy_env import make_policy_env
-from torchrl_morl.evaluation import rollout_preferences
+from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
 
@@ -31,6 +32,9 @@ class Sweep:
     """``[P, N]``, see :func:`envs.metrics.trajectories`."""
     scenes: TensorDictBase
     """``[N]``, ``start`` [N, 3], ``goal``, ``human`` [N, 3] and ``boxes``."""
+    demonstration: TensorDictBase | None = None
+    """``[N]``, see :func:`envs.demonstrator.demonstrated_paths`; ``None`` without a demonstrator.
+    Then ``metrics`` has ``frechet``, the distance to it in metres."""
 
     def mean(self, name: str) -> Tensor:
         """Mean over the episodes where the metric is defined, ``[P]``."""
@@ -43,6 +47,8 @@ class Sweep:
             f"{names}  {'success':>8}  {'hit human':>9}  {'hit box':>8}  {'timeout':>8}"
             f"  {'time (n)':>14}  {'min. distance to human (n)':>26}"
         ]
+        if self.demonstration is not None:
+            lines[0] += f"  {'Frechet, free (n)':>17}  {'all (n)':>12}"
         count = self.metrics.shape[1]
         for row, preference in enumerate(self.preferences.tolist()):
             metrics = self.metrics[row]
@@ -59,6 +65,12 @@ class Sweep:
                 f"  {percent('collision_obstacle'):>8}  {percent('timeout'):>8}"
                 f"  {time:>14}  {near:>26}"
             )
+            if self.demonstration is not None:
+                free = self.demonstration["free"]
+                lines[-1] += (
+                    f"  {metrics['frechet'][free].mean():6.2f} m ({int(free.sum())})".rjust(19)
+                )
+                lines[-1] += f"  {metrics['frechet'].mean():5.2f} m ({count})".rjust(14)
         return "\n".join(lines)
 
 
@@ -70,6 +82,7 @@ def sweep(
     episodes: int,
     seed: int,
     max_episode_steps: int = 300,
+    demonstrator: CircleDemonstrator | None = None,
     on_preference: Callable[[int], None] | None = None,
     **env_kwargs: Any,
 ) -> Sweep:
@@ -84,6 +97,7 @@ def sweep(
         episodes: scenes, the same for every preference.
         seed: of the scenes.
         max_episode_steps: steps before an episode is truncated.
+        demonstrator: what the policy was shown, for the distance to it.
         on_preference: called after each preference, for a progress bar.
         **env_kwargs: see :class:`envs.NavigationEnv`.
 
@@ -119,11 +133,20 @@ def sweep(
     )
     env.close()
     start = first[0]
+    metrics, paths, demonstration = episode_metrics(rollout), trajectories(rollout), None
+    if demonstrator is not None:
+        demonstration = demonstrated_paths(
+            demonstrator, start, max_episode_steps=max_episode_steps, **env_kwargs
+        )
+        metrics["frechet"] = discrete_frechet(
+            paths["position"], paths["mask"], demonstration["position"], demonstration["mask"]
+        )
     return Sweep(
         space=space,
         preferences=preferences,
-        metrics=episode_metrics(rollout),
-        paths=trajectories(rollout),
+        metrics=metrics,
+        paths=paths,
+        demonstration=demonstration,
         scenes=TensorDict(
             {
                 "start": start["pose"],

@@ -37,18 +37,17 @@ def main(cfg: DictConfig) -> None:
         policy, cloning_loss = utils.clone_behaviour(cfg, demonstrations)
     with timeit("noisy rollouts"):
         # The demonstrations stand beside the clone without noise: neither is better.
-        groups = [(0.0, demonstrations), *utils.noisy_rollouts(cfg, policy)]
-    plain_groups = list(groups)
-    if cfg.style_negatives.rollouts:
-        with timeit("other styles"):
-            # The extension to D-REX: other ways to drive rank below any noise.
-            groups += [(-1.0, data) for data in utils.other_styles(cfg)]
+        noisy = [(0.0, demonstrations), *utils.noisy_rollouts(cfg, policy)]
+    with timeit("other styles"):
+        # The extension to D-REX: other ways to drive rank below the demonstrations.
+        styles = utils.other_styles(cfg) if cfg.style_negatives.rollouts else []
     with timeit("reward model"):
-        model, scores = utils.train_reward_model(cfg, groups)
+        snippets = utils.ranked_snippets(cfg, noisy, styles)
+        model, scores = utils.train_reward_model(cfg, snippets)
     with timeit("diagnostics"):
-        report = write_report(run_dir, cfg, model, policy, plain_groups)
+        report = write_report(run_dir, cfg, model, noisy)
     card = {"behaviour_cloning_loss": cloning_loss, **scores, **report}
-    utils.save_reward_model(run_dir / "reward_model", cfg, model, card)
+    utils.save_model(run_dir / "reward_model", cfg, model, card)
     timeit.print()
     print(f"reward model and report: {run_dir}")
 

@@ -2,6 +2,186 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
 
-def write_report(run_dir, cfg, model, policy, groups):
-    return {}
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import torch
+from omegaconf import DictConfig
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from envs import HUMAN_RADIUS
+from envs.demonstrator import CircleDemonstrator
+from envs.geometry import wrap_angle
+from envs.policy_env import GOAL_SCALE, HUMAN_SCALE, NUM_SECTORS
+from torchrl_morl.evaluation import discrete_frechet, steerability
+from torchrl_morl.modules import RewardModel
+
+from . import utils
+
+
+@torch.no_grad()
+def write_report(
+    run_dir: Path,
+    cfg: DictConfig,
+    model: RewardModel,
+    groups: list[tuple[float, TensorDictBase]],
+) -> dict[str, Any]:
+    """Numbers and pictures of a reward model.
+
+    Args:
+        run_dir: where the pictures go.
+        cfg: of the recipe.
+        model: the reward model.
+        groups: demonstrations, then the noisy rollouts with their quality (minus the noise level).
+
+    Returns:
+        Diagnostics, as JSON values.
+    """
+    noisy = groups[1:]
+    scores = utils.mean_scores(model, noisy)
+    levels = [-quality for quality, _ in noisy]
+    every = torch.cat(
+        [
+            model(data.select("observation", "action"))["demo_score"].squeeze(-1)[data["mask"]]
+            for _, data in groups
+        ]
+    )
+    contrast = utils.style_contrast(cfg, model)
+    rivals = {name: value for name, value in contrast.items() if name != "demonstration"}
+    lead = contrast["demonstration"] - max(rivals.values())
+    degradation_figure(run_dir / "degradation.png", cfg, noisy)
+    heat_map(run_dir / "heat_map.png", model)
+    contrast_figure(run_dir / "style_contrast.png", contrast)
+    rho = steerability(torch.tensor(levels), torch.tensor(scores))
+    print(f"Spearman rho(noise level, mean R) = {rho:.2f} (gate: <= -0.9)")
+    print("mean R within 2 m of the human:")
+    for name, value in contrast.items():
+        print(f"  {name:>18}: {value:.3f}")
+    print(f"lead of the demonstration over the next style: {lead:.3f} (gate: >= 0.2)")
+    return {
+        "noise_levels": levels,
+        "mean_score_per_level": scores,
+        "spearman_noise_score": rho,
+        "share_saturated": ((every < 0.02) | (every > 0.98)).float().mean().item(),
+        "style_contrast": contrast,
+        "style_lead": lead,
+    }
+
+
+def degradation_figure(
+    path: Path,
+    cfg: DictConfig,
+    noisy: list[tuple[float, TensorDictBase]],
+    rollouts: int = 20,
+) -> None:
+    """Core return and Frechet distance to the demonstration against noise (Fig. 2a)."""
+    demonstrator = CircleDemonstrator(
+        cfg.demonstrations.radius, cfg.demonstrations.side, scaled=True
+    )
+    reference = utils.rollouts(demonstrator, rollouts, cfg.seed + 10_000, **cfg.env)
+    core, frechet = [], []
+    for _, data in noisy:
+        data = data[:rollouts]
+        reward = data["next", "reward"][..., 0] * data["mask"]
+        core.append(reward.sum(-1) / (125 * data["goal"][:, 0, 0]))
+        frechet.append(
+            discrete_frechet(
+                data["pose"][..., :2],
+                data["mask"],
+                reference["pose"][..., :2],
+                reference["mask"],
+            )
+        )
+    levels = [-quality for quality, _ in noisy]
+    fig, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    for ax, values, label in (
+        (axes[0], core, "core return / (125 x start-goal distance)"),
+        (axes[1], frechet, "Frechet distance to the demonstration / m"),
+    ):
+        stacked = torch.stack(values)
+        mean, error = stacked.mean(-1), stacked.std(-1) / rollouts**0.5
+        ax.errorbar(levels, mean, error, marker="o", capsize=3, color="#0072b2")
+        ax.set_xlabel("share of noisy steps")
+        ax.set_ylabel(label)
+        ax.grid(alpha=0.3)
+    fig.suptitle(f"cloned policy under held noise, {rollouts} rollouts a level, standard errors")
+    fig.savefig(path, dpi=120)
+    plt.close(fig)
+
+
+def heat_map(path: Path, model: RewardModel, goal: float = 4.0, extent: float = 2.5) -> None:
+    """R over the plane around a human, for a robot that heads as demonstrated, and opposite."""
+    axis = torch.linspace(-extent, extent, 101)
+    x, y = torch.meshgrid(axis, axis, indexing="xy")
+    position = torch.stack((x, y), dim=-1)  # the human is the origin, the goal lies to the right
+    distance = position.norm(dim=-1)
+    towards_human = torch.atan2(-y, -x)
+    towards_goal = torch.atan2(-y, goal - x)
+    angle = torch.atan2(y, x)  # pi before the human, 0 behind it
+    phase = torch.where(angle < -torch.pi / 2, angle + 2 * torch.pi, angle)
+    tangent = towards_human + torch.pi / 2
+    leaving, orbiting = phase <= 0.1, distance <= 1.2
+    heading = torch.where(leaving, towards_goal, torch.where(orbiting, tangent, towards_human))
+    fig, axes = plt.subplots(1, 2, figsize=(10.5, 4.6), layout="constrained")
+    for ax, turned, title in (
+        (axes[0], 0.0, "heading as demonstrated"),
+        (axes[1], torch.pi, "heading the opposite way"),
+    ):
+        turn_rate = torch.where(leaving | ~orbiting, 0.0, -0.5 / torch.pi)
+        features = observation(position, heading + turned, goal)
+        action = torch.stack((torch.ones_like(turn_rate), turn_rate), dim=-1)
+        data = TensorDict({"observation": features, "action": action}, batch_size=x.shape)
+        score = model(data)["demo_score"].squeeze(-1)
+        image = ax.pcolormesh(x, y, score, vmin=0, vmax=1, cmap="viridis", shading="auto")
+        circle = torch.linspace(0, torch.pi, 100)
+        ax.plot(circle.cos(), circle.sin(), color="white", linestyle="--", linewidth=1.5)
+        ax.plot([-extent, -1], [0, 0], color="white", linestyle="--", linewidth=1.5)
+        ax.plot([1, extent], [0, 0], color="white", linestyle="--", linewidth=1.5)
+        ax.add_patch(plt.Circle((0, 0), HUMAN_RADIUS, color="#d55e00"))
+        ax.set_aspect("equal")
+        ax.set_title(title)
+        ax.set_xlabel("x / m (goal to the right)")
+    axes[0].set_ylabel("y / m")
+    fig.colorbar(image, ax=axes, label="R")
+    fig.savefig(path, dpi=120)
+    plt.close(fig)
+
+
+def observation(position: Tensor, heading: Tensor, goal: float) -> Tensor:
+    """The policy's observation ``[*B, 36]`` at positions around a human, nothing else in sight."""
+    x, y = position.unbind(-1)
+
+    def features(dx: Tensor, dy: Tensor, scale: float) -> list[Tensor]:
+        bearing = wrap_angle(torch.atan2(dy, dx) - heading)
+        return [torch.hypot(dx, dy) / scale, bearing.sin(), bearing.cos()]
+
+    lidar = torch.zeros(*x.shape, NUM_SECTORS)
+    distance = torch.hypot(x, y)
+    bearing = wrap_angle(torch.atan2(-y, -x) - heading)
+    sector = torch.arange(NUM_SECTORS) * (2 * torch.pi / NUM_SECTORS) + torch.pi / NUM_SECTORS
+    half = torch.asin((HUMAN_RADIUS / distance.clamp_min(HUMAN_RADIUS)).clamp(max=1.0))
+    seen = wrap_angle(sector - bearing[..., None]).abs() <= (
+        half[..., None] + torch.pi / NUM_SECTORS
+    )
+    surface = ((distance - HUMAN_RADIUS).clamp(0.0, 4.0) / 4.0 - 1.0)[..., None]
+    lidar = torch.where(seen, surface, lidar)
+    polar = features(goal - x, -y, GOAL_SCALE) + features(-x, -y, HUMAN_SCALE)
+    return torch.cat((lidar, torch.stack(polar, dim=-1)), dim=-1)
+
+
+def contrast_figure(path: Path, contrast: dict[str, float]) -> None:
+    """Mean R of each style."""
+    fig, ax = plt.subplots(figsize=(7, 3.4), layout="constrained")
+    colors = ["#0072b2" if name == "demonstration" else "0.6" for name in contrast]
+    ax.barh(list(contrast), list(contrast.values()), color=colors)
+    ax.invert_yaxis()
+    ax.set_xlim(0, 1)
+    ax.set_xlabel("mean R within 2 m of the human")
+    fig.savefig(path, dpi=120)
+    plt.close(fig)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.metadata
+from pathlib import Path
 from typing import Any
 
 import torch
 import tqdm
-from omegaconf import DictConfig
-from tensordict import TensorDict, TensorDictBase
+from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
 from torchrl.data import Bounded
@@ -17,6 +19,7 @@ from torchrl.objectives import BCLoss
 from envs.demonstrator import CircleDemonstrator, StraightDriver
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env
 from torchrl_morl.data import RankedSnippets
+from torchrl_morl.deploy import save_reward_model
 from torchrl_morl.evaluation import episode_mask
 from torchrl_morl.modules import RewardModel, make_actor
 from torchrl_morl.modules.exploration import HeldEGreedyModule
@@ -173,22 +176,34 @@ def other_styles(cfg: DictConfig) -> list[TensorDictBase]:
     ]
 
 
-def train_reward_model(
-    cfg: DictConfig, groups: list[tuple[float, TensorDictBase]]
-) -> tuple[RewardModel, dict[str, float]]:
-    """Bradley-Terry on ranked snippets."""
+def ranked_snippets(
+    cfg: DictConfig,
+    noisy: list[tuple[float, TensorDictBase]],
+    styles: list[TensorDictBase],
+) -> list[RankedSnippets]:
+    """Pairs within the levels of noise and, for the extension, between demonstrated and other styles.
+
+    Approach and departure are common to all styles: those pairs start close to the human, where
+    styles differ. Noise disturbs the whole way.
+    """
     section = cfg.reward_model
-    for _, data in groups:
-        data.set("near", data["human"][..., 0] < section.near_human)
-    snippets = RankedSnippets(
-        groups,
-        length=section.snippet_length,
-        min_gap=section.min_gap,
-        focus_key="near",
-        focus_probability=0.7,
-        seed=cfg.seed,
-    )
-    train, held_out = snippets.split(section.held_out)
+    length, seed = section.snippet_length, cfg.seed
+    snippets = [RankedSnippets(noisy, length=length, min_gap=section.min_gap, seed=seed)]
+    if styles:
+        undisturbed = [(0.0, data) for quality, data in noisy if quality == 0.0]
+        groups = undisturbed + [(-1.0, data) for data in styles]
+        for _, data in groups:
+            data.set("near", data["human"][..., 0] < section.near_human)
+        snippets.append(RankedSnippets(groups, length=length, focus_key="near", seed=seed + 1))
+    return snippets
+
+
+def train_reward_model(
+    cfg: DictConfig, snippets: list[RankedSnippets]
+) -> tuple[RewardModel, dict[str, float]]:
+    """Bradley-Terry on ranked snippets; every source of pairs has the same share of a batch."""
+    section = cfg.reward_model
+    train, held_out = zip(*(source.split(section.held_out) for source in snippets), strict=True)
     model = RewardModel(
         in_features=OBSERVATION_SIZE + 2,
         num_cells=section.num_cells,
@@ -198,24 +213,24 @@ def train_reward_model(
     optimizer = torch.optim.AdamW(
         loss.parameters(), lr=section.lr, weight_decay=section.weight_decay
     )
+    share = section.batch_size // len(snippets)
     with tqdm.tqdm(total=section.updates, desc="reward model", unit="update") as progress:
         for update in range(1, section.updates + 1):
-            out = loss(train.sample(section.batch_size))
+            out = loss(torch.cat([source.sample(share) for source in train]))
             optimizer.zero_grad()
             out["loss_bradley_terry"].backward()
             optimizer.step()
             progress.update()
             if update % 100 == 0:
-                with torch.no_grad():
-                    check = loss(held_out.sample(512))
-                progress.set_postfix(
-                    train=f"{out['accuracy'].item():.2f}",
-                    held_out=f"{check['accuracy'].item():.2f}",
-                )
+                progress.set_postfix(accuracy=f"{out['accuracy'].item():.2f}")
+    names = ("noise pairs", "style pairs")
     with torch.no_grad():
-        check = loss(held_out.sample(2048))
+        scores = {
+            f"held_out_accuracy {name}": loss(source.sample(1024))["accuracy"].item()
+            for name, source in zip(names, held_out, strict=False)
+        }
     loss.reward_network_params.data.to_module(model)
-    return model.requires_grad_(False), {"held_out_accuracy": check["accuracy"].item()}
+    return model.requires_grad_(False), scores
 
 
 def contrast_styles(cfg: DictConfig) -> dict[str, TensorDictModuleBase]:
@@ -229,7 +244,7 @@ def contrast_styles(cfg: DictConfig) -> dict[str, TensorDictModuleBase]:
         other = factor * radius
         styles[f"orbit {other:.1f} m"] = CircleDemonstrator(other, side, scaled=True)
     styles["mirrored"] = CircleDemonstrator(radius, mirror, scaled=True)
-    styles["distance keeping"] = CircleDemonstrator(2.1, side, scaled=True)
+    styles["distance keeping"] = CircleDemonstrator(1.9, side, scaled=True)
     styles["straight"] = StraightDriver(scaled=True)
     return styles
 
@@ -260,5 +275,34 @@ def mean_scores(model: RewardModel, groups: list[tuple[float, TensorDictBase]]) 
     ]
 
 
-def as_dict(data: TensorDictBase) -> TensorDict:
-    return data.to_tensordict()
+def metadata(cfg: DictConfig) -> dict[str, Any]:
+    """What made the demonstrations."""
+    packages = ("torch", "torchrl", "tensordict", "mujoco", "torchrl-morl")
+    return {
+        "config": OmegaConf.to_container(cfg, resolve=True),
+        "demonstrator": demonstrator_arguments(cfg),
+        "versions": {name: importlib.metadata.version(name) for name in packages},
+    }
+
+
+def demonstrator_arguments(cfg: DictConfig) -> dict[str, Any]:
+    """Of :class:`envs.demonstrator.CircleDemonstrator`."""
+    section = cfg.demonstrations
+    return {
+        "radius": section.radius,
+        "side": section.side,
+        "speed": section.speed,
+        "robot": cfg.env.robot,
+    }
+
+
+def save_model(folder: Path, cfg: DictConfig, model: RewardModel, card: dict[str, Any]) -> None:
+    """Write the reward model and its card."""
+    save_reward_model(
+        folder,
+        model,
+        in_features=OBSERVATION_SIZE + 2,
+        num_cells=tuple(cfg.reward_model.num_cells),
+        num_members=cfg.reward_model.num_members,
+        card=metadata(cfg) | card,
+    )

@@ -14,6 +14,7 @@ import torch
 import tqdm
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl._utils import timeit
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.collectors import Collector
@@ -39,6 +40,9 @@ def main(cfg: DictConfig) -> None:
     actor, policy = utils.make_policy(cfg, env, space, device)
     loss = utils.make_loss(cfg, env, space, actor, device)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
+    averaged = AveragedModel(
+        actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.optim.actor_average), use_buffers=False
+    )
     optimizers, schedulers = utils.make_optimizers(cfg, loss)
     replay_buffer = utils.make_replay_buffer(cfg, space, device)
     demonstration = utils.demonstrated(cfg, demo_card) if demo else None
@@ -61,7 +65,7 @@ def main(cfg: DictConfig) -> None:
     checkpoints = CheckpointRotation(
         run_dir / "checkpoints", keep_last=1, keep_best=("score", "max")
     )
-    state = Checkpoint(loss=loss, **optimizers, **schedulers)
+    state = Checkpoint(loss=loss, averaged=averaged, **optimizers, **schedulers)
 
     frames = updates = 0
     score = success = float("nan")
@@ -90,6 +94,7 @@ def main(cfg: DictConfig) -> None:
                         actor_loss, info = loss.actor_loss(batch)
                         utils.step(optimizers["actor"], actor_loss, cfg.optim.max_grad_norm)
                         target_updater.step()
+                        averaged.update_parameters(actor)
                         metrics |= info | {"loss_actor": actor_loss.detach()}
             for scheduler in schedulers.values():
                 scheduler.step()
@@ -103,13 +108,18 @@ def main(cfg: DictConfig) -> None:
         if updates and (last or utils.crossed(cfg.evaluation.interval, collected, frames)):
             # Corner preferences: their returns are the key solutions of the interpolator.
             with timeit("evaluate"):
-                result = utils.evaluate(cfg, eval_env, actor, space, demonstration)
+                result = utils.evaluate(cfg, eval_env, averaged.module, space, demonstration)
             loss.interpolator.refit(result.key_solutions, cfg.evaluation.refit_momentum)
             score, success = result.score, result.success
             utils.log_metrics(loggers, result.metrics, frames)
             checkpoints.save(state, step=frames, metadata={"score": score})
             utils.save_training_policy(
-                run_dir / "policies" / f"{frames:09d}", cfg, actor, space, result
+                run_dir / "policies" / f"{frames:09d}",
+                cfg,
+                averaged.module,
+                space,
+                result,
+                demo_card,
             )
             tqdm.tqdm.write(result.table(frames))
     progress.close()

@@ -136,6 +136,7 @@ def make_loss(
         action_spec=spec,
         policy_noise=cfg.loss.policy_noise,
         noise_clip=cfg.loss.noise_clip,
+        loss_function=cfg.loss.loss_function,
     )
     if cfg.loss.truncation_is_terminal:
         loss.set_keys(terminated="done")
@@ -399,7 +400,15 @@ def save_training_policy(
     actor: TensorDictModule,
     space: PreferenceSpace,
     result: Evaluation,
+    demo_card: dict[str, Any] | None,
 ) -> None:
+    card = {
+        "config": OmegaConf.to_container(cfg, resolve=True),
+        "evaluation": {"preferences": result.names, **result.columns},
+        "score": result.score,
+    }
+    if demo_card is not None:
+        card["demonstrator"] = demo_card["demonstrator"]
     save_policy(
         folder,
         actor,
@@ -407,11 +416,7 @@ def save_training_policy(
         observation_size=OBSERVATION_SIZE,
         action_size=2,
         num_cells=tuple(cfg.network.num_cells),
-        card={
-            "config": OmegaConf.to_container(cfg, resolve=True),
-            "evaluation": {"preferences": result.names, **result.columns},
-            "score": result.score,
-        },
+        card=card,
     )
 
 
