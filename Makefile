@@ -18,8 +18,8 @@ help: ## list the targets
 demo: $(STAMP) ## drive one robot through several preferences, and film it
 	@$(RUN) recipes.demo $(ARGS)
 
-train: $(STAMP) ## train the preference-conditioned policy, ARGS="key=value ..." overrides its YAML
-	@$(RUN) recipes.pd_morl.pd_morl $(ARGS)
+train: $(STAMP) ## train the shipped policy from nothing, ARGS="--pd-morl seed=1" overrides
+	@$(RUN) recipes.train $(ARGS)
 
 test: $(STAMP) ## run the tests and the docstring examples, ARGS="-m slow" for the long ones
 	@OMP_NUM_THREADS=1 $(RUN) pytest -q $(ARGS)

@@ -22,6 +22,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple, Protocol
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -39,6 +40,7 @@ from envs.navigation import (
     DISTANCE_MINIMUM,
     DISTANCE_THRESHOLD,
     GOAL_REWARD,
+    SCENE_BLOCK,
     STYLE_PENALTY,
 )
 from envs.scenes import HUMAN_RADIUS
@@ -55,6 +57,7 @@ FRAME_SKIP = 4  # x 0.05 s
 # push against boxes for ever.
 _BATCH_HORIZON = 50
 _WARM_UP_STEPS = 3
+_SENSORS_OFF = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 _LIDAR_GROUPS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 
 
@@ -78,6 +81,7 @@ class MujocoNavigationEnv(MujocoEnv):
         self, *, elapsed: int = 0, max_episode_steps: int = MAX_EPISODE_STEPS, **kwargs
     ) -> None:
         self._first_elapsed = elapsed
+        self._scenes: list[TensorDictBase] = []
         self._robot, self._scene = get_robot(ROBOT), get_scene(SCENE)
         self._ray_angles = 2 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
         self._rays = np.zeros((NUM_RAYS, 3))
@@ -113,7 +117,11 @@ class MujocoNavigationEnv(MujocoEnv):
         self, n: int, tensordict: TensorDictBase | None = None
     ) -> tuple[Tensor, Tensor]:
         model, data = self._backend.mj_model, self.data
-        sampled = self._scene.sample(1, self._robot.radius, self.rng)[0]
+        if not self._scenes:
+            # In blocks as ours: a block costs little more than a single scene.
+            block = self._scene.sample(SCENE_BLOCK, self._robot.radius, self.rng)
+            self._scenes = list(block.unbind(0))
+        sampled = self._scenes.pop(0)
         self._goal = sampled["goal"].tolist()
         self._human = sampled["human"].tolist()
         self._boxes = sampled["boxes"].tolist()
@@ -198,6 +206,51 @@ class MujocoNavigationEnv(MujocoEnv):
         return hit.clip(1e-3, MAX_RANGE)
 
 
+class RangefinderNavigationEnv(MujocoNavigationEnv):
+    """The same environment without a ray call of its own: MuJoCo's ``rangefinder`` sensors.
+
+    One sensor for each ray, on as many sites of the robot. ``mj_step`` evaluates sensors at the
+    start of every substep, so what it leaves in ``sensordata`` is from one substep before the
+    robot's new position: this scan is 0.05 s old.
+
+    Keyword Args:
+        once: switch the sensors off during the physics and evaluate them once, after it: a current
+            scan, equal to that of the other environments, for a quarter of the rays.
+        **kwargs: see :class:`MujocoNavigationEnv`.
+    """
+
+    def __init__(self, *, once: bool = False, **kwargs) -> None:
+        self._once = once
+        super().__init__(**kwargs)
+        model = self._backend.mj_model
+        # Sensors see every geom but an invisible one: the marker of the goal is in their way.
+        model.geom_rgba[model.geom_group == 1, 3] = 0
+        if once:
+            model.opt.disableflags |= _SENSORS_OFF
+
+    def _load_xml(self, xml_path, *, patch_xml=True) -> str:
+        root = ElementTree.fromstring(super()._load_xml(xml_path, patch_xml=patch_xml))
+        (robot,) = root.iterfind("worldbody/body[@name='robot']")
+        sensors = ElementTree.SubElement(root, "sensor")
+        height = LIDAR_HEIGHT - self._robot.height / 2
+        for index, angle in enumerate(self._ray_angles.tolist()):
+            site = f"ray{index}"
+            axis = f"{math.cos(angle)!r} {math.sin(angle)!r} 0"
+            ElementTree.SubElement(robot, "site", name=site, pos=f"0 0 {height!r}", zaxis=axis)
+            ElementTree.SubElement(sensors, "rangefinder", site=site, cutoff=str(MAX_RANGE))
+        return ElementTree.tostring(root, encoding="unicode")
+
+    def _scan(self, x: float, y: float, yaw: float) -> np.ndarray:
+        if self._once:
+            model = self._backend.mj_model
+            model.opt.disableflags &= ~_SENSORS_OFF
+            mujoco.mj_kinematics(model, self.data)
+            mujoco.mj_sensorPos(model, self.data)
+            model.opt.disableflags |= _SENSORS_OFF
+        hit = np.where(self.data.sensordata < 0, MAX_RANGE, self.data.sensordata)
+        return hit.clip(1e-3, MAX_RANGE)
+
+
 def _polar(point: list[float], x: float, y: float, yaw: float) -> tuple[float, float]:
     """Distance and bearing of a world point seen from a pose."""
     dx, dy = point[0] - x, point[1] - y
@@ -250,7 +303,11 @@ class BatchLoop:
         self.qpos, self.ctrl = self.batch.bind("qpos"), self.batch.bind("ctrl")
         self.high = np.array([env.robot.max_speed, env.robot.max_turn_rate])
         self.low = np.array([0.0, -env.robot.max_turn_rate])
-        self.ray_angles = 2 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
+        angles = 2 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
+        self.rays = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+        self.turn = np.zeros((self.batch.nsim, 2, 3))
+        self.origin = np.full((self.batch.nsim, NUM_RAYS, 3), LIDAR_HEIGHT)
+        self.direction = np.zeros_like(self.origin)
         self.robot = env.model.body("robot").id
         self.rng = np.random.default_rng(0)
         self.steps = 0
@@ -261,11 +318,12 @@ class BatchLoop:
         self.steps += 1
         self.ctrl[:, :2] = self.rng.uniform(self.low, self.high, (self.batch.nsim, 2))
         self.batch.step(nstep=FRAME_SKIP)
-        angle = self.qpos[:, 2:] + self.ray_angles
-        direction = np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=-1)
-        origin = np.full((self.batch.nsim, 1, 3), LIDAR_HEIGHT)
-        origin[:, 0, :2] = self.qpos[:, :2]
-        self.batch.ray(origin, direction, geomgroup=_LIDAR_GROUPS, bodyexclude=self.robot)
+        cos, sin = np.cos(self.qpos[:, 2]), np.sin(self.qpos[:, 2])
+        self.turn[:, 0, 0] = self.turn[:, 1, 1] = cos
+        self.turn[:, 0, 1], self.turn[:, 1, 0] = sin, -sin
+        np.matmul(self.rays, self.turn, out=self.direction)
+        self.origin[..., :2] = self.qpos[:, None, :2]
+        self.batch.ray(self.origin, self.direction, geomgroup=_LIDAR_GROUPS, bodyexclude=self.robot)
 
     def close(self) -> None:
         pass
@@ -298,9 +356,11 @@ def navigation_loop(num_envs: int, num_threads: int, *, snapshots: bool) -> Loop
     return loop
 
 
-def mujoco_envs(num_envs: int) -> list[Callable[[], EnvBase]]:
+def mujoco_envs(
+    num_envs: int, make: Callable[..., EnvBase] = MujocoNavigationEnv
+) -> list[Callable[[], EnvBase]]:
     return [
-        functools.partial(MujocoNavigationEnv, seed=seed, elapsed=elapsed)
+        functools.partial(make, seed=seed, elapsed=elapsed)
         for seed, elapsed in enumerate(first_elapsed(num_envs))
     ]
 
@@ -310,12 +370,13 @@ def _mujoco_loop(num_envs: int, num_threads: int) -> Loop:
     return TorchRLLoop(make_env())
 
 
-def _serial_loop(num_envs: int, num_threads: int) -> Loop:
-    return TorchRLLoop(SerialEnv(num_envs, mujoco_envs(num_envs)))
+def _serial_loop(make: Callable[..., EnvBase], num_envs: int, num_threads: int) -> Loop:
+    return TorchRLLoop(SerialEnv(num_envs, mujoco_envs(num_envs, make)))
 
 
-def _parallel_loop(num_envs: int, num_threads: int) -> Loop:
-    return TorchRLLoop(ParallelEnv(num_envs, mujoco_envs(num_envs), mp_start_method="fork"))
+def _parallel_loop(make: Callable[..., EnvBase], num_envs: int, num_threads: int) -> Loop:
+    envs = mujoco_envs(num_envs, make)
+    return TorchRLLoop(ParallelEnv(num_envs, envs, mp_start_method="fork"))
 
 
 def _batch_loop(num_envs: int, num_threads: int) -> Loop:
@@ -323,14 +384,23 @@ def _batch_loop(num_envs: int, num_threads: int) -> Loop:
 
 
 OURS = "NavigationEnv"
-PARALLEL = "MujocoEnv in ParallelEnv"
+
+_COMPETITORS: dict[str, Callable[..., EnvBase]] = {
+    "one mj_multiRay": MujocoNavigationEnv,
+    "rangefinders": RangefinderNavigationEnv,
+    "rangefinders once": functools.partial(RangefinderNavigationEnv, once=True),
+}
+"""Ways to a lidar in ``MujocoEnv``."""
+
+SERIAL = {f"MujocoEnv, {name}, SerialEnv": make for name, make in _COMPETITORS.items()}
+PARALLEL = {f"MujocoEnv, {name}, ParallelEnv": make for name, make in _COMPETITORS.items()}
 
 VARIANTS: dict[str, Callable[[int, int], Loop]] = {
     OURS: functools.partial(navigation_loop, snapshots=False),
     "NavigationEnv, snapshots": functools.partial(navigation_loop, snapshots=True),
-    "MujocoEnv": _mujoco_loop,
-    "MujocoEnv in SerialEnv": _serial_loop,
-    PARALLEL: _parallel_loop,
+    "MujocoEnv, one mj_multiRay": _mujoco_loop,
+    **{name: functools.partial(_serial_loop, make) for name, make in SERIAL.items()},
+    **{name: functools.partial(_parallel_loop, make) for name, make in PARALLEL.items()},
     "Batch without TorchRL": _batch_loop,
 }
 """What is measured: name, and ``make(num_envs, num_threads)``."""
@@ -363,7 +433,7 @@ def measure(
     with tqdm.tqdm(total=total, unit="measurement", desc="start") as progress:
         try:
             # Workers are forked before this process has native threads, which a fork would lose.
-            for case in sorted(cases, key=lambda case: case.variant != PARALLEL):
+            for case in sorted(cases, key=lambda case: case.variant not in PARALLEL):
                 loops[case] = VARIANTS[case.variant](case.num_envs, num_threads)
                 for _ in range(_WARM_UP_STEPS):
                     loops[case].step()
@@ -462,13 +532,12 @@ def plan(
     sizes: list[int], *, serial_max: int, parallel_max: int
 ) -> tuple[list[Case], dict[Case, str]]:
     """Which cases to measure, and why not the others."""
+    serial = (serial_max, "it steps one simulation after the other (--serial-max)")
+    parallel = (parallel_max, "it takes a process for each environment (--parallel-max)")
     limits = {
-        "MujocoEnv": (1, "it holds one simulation"),
-        "MujocoEnv in SerialEnv": (
-            serial_max,
-            "it steps one simulation after the other (--serial-max)",
-        ),
-        PARALLEL: (parallel_max, "it takes a process for each environment (--parallel-max)"),
+        "MujocoEnv, one mj_multiRay": (1, "it holds one simulation"),
+        **dict.fromkeys(SERIAL, serial),
+        **dict.fromkeys(PARALLEL, parallel),
     }
     cases, skipped = [], {}
     for size in sorted(set(sizes)):

@@ -29,12 +29,12 @@ COLLISION_REWARD = -1000.0
 STYLE_PENALTY = -10.0
 DISTANCE_THRESHOLD = 2.0
 DISTANCE_MINIMUM = 0.3
+SCENE_BLOCK = 64
 
 # Pictures from above: what surrounds the scene, and how large a box is a wall, metres.
 _MARGIN = 0.6
 _WALL = 2.0
 
-_SCENE_BLOCK = 64
 _LIDAR_GROUPS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 
 
@@ -282,7 +282,7 @@ class NavigationEnv(BatchedMujocoEnv):
         They are drawn in blocks, since a block costs little more than a single scene.
         """
         while self._scenes is None or len(self._scenes) < n:
-            block = self.scene.sample(_SCENE_BLOCK, self.robot.radius, self.rng)
+            block = self.scene.sample(SCENE_BLOCK, self.robot.radius, self.rng)
             self._scenes = block if self._scenes is None else torch.cat((self._scenes, block))
         taken, self._scenes = self._scenes[:n], self._scenes[n:]
         return taken

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 import csv
+import functools
 import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 import torch
 from torchrl.envs import SerialEnv
@@ -14,10 +18,12 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 
 from benchmarks.environment import (
     MAX_EPISODE_STEPS,
+    MAX_RANGE,
     OURS,
     VARIANTS,
     Case,
     MujocoNavigationEnv,
+    RangefinderNavigationEnv,
     TorchRLLoop,
     first_elapsed,
     main,
@@ -32,27 +38,43 @@ ROOT = Path(__file__).resolve().parent.parent
 NUM_RAYS = 720
 
 
-def test_both_environments_do_the_same():
+def _steer(human, goal, noise):
+    """Roughly to the goal and past the human: episodes end in every way there is."""
+    distance, bearing = human.unbind(-1)
+    aside = 4.0 * (1.5 - distance).clamp_min(0.0) * -bearing.sign() * (bearing.abs() < 1.5)
+    turn = 2.0 * goal[:, 1] + aside + 0.5 * noise[:, 1]
+    return torch.stack((0.45 + 0.1 * noise[:, 0], turn), dim=-1)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        MujocoNavigationEnv,
+        functools.partial(RangefinderNavigationEnv, once=True),
+        RangefinderNavigationEnv,
+    ],
+    ids=["mj_multiRay", "rangefinders_once", "rangefinders"],
+)
+def test_all_environments_do_the_same(make):
     """Several episodes of the same scenes under the same actions, to their ends and beyond."""
     kwargs = {"seed": 3, "dtype": torch.float64, "max_episode_steps": 100}
     ours = NavigationEnv(num_envs=1, num_threads=1, **kwargs)
-    theirs = MujocoNavigationEnv(**kwargs)
+    theirs = make(**kwargs)
+    late = make is RangefinderNavigationEnv
     data, other = ours.reset(), theirs.reset()
     ends = {"success": 0, "collision": 0, "truncated": 0}
     for _ in range(1000):
-        # Roughly to the goal and past the human: episodes end in every way there is.
-        noise = torch.randn(1, 2, dtype=torch.float64)
-        human, bearing = data["human"].unbind(-1)
-        aside = 4.0 * (1.5 - human).clamp_min(0.0) * -bearing.sign() * (bearing.abs() < 1.5)
-        turn = 2.0 * data["goal"][:, 1] + aside + 0.5 * noise[:, 1]
-        action = torch.stack((0.45 + 0.1 * noise[:, 0], turn), dim=-1)
+        action = _steer(data["human"], data["goal"], torch.randn(1, 2, dtype=torch.float64))
         data = ours.step(data.set("action", action))
         other = theirs.step(other.set("action", action))
         after, their_after = data["next"], other["next"]
         assert after["qpos"].tolist() == [theirs.data.qpos.tolist()]
+        observation = their_after["observation"].clone()
+        if late:
+            observation[:, :NUM_RAYS] = _current_scan(theirs)
         torch.testing.assert_close(
             torch.cat((after["scan"], after["goal"], after["human"]), dim=-1),
-            their_after["observation"],
+            observation,
             rtol=0,
             atol=1e-9,
         )
@@ -71,8 +93,35 @@ def test_both_environments_do_the_same():
     assert all(count > 0 for count in ends.values()), ends
 
 
-def test_competitor_keeps_its_specs():
-    env = MujocoNavigationEnv(seed=0)
+def _current_scan(env: RangefinderNavigationEnv) -> torch.Tensor:
+    """What the sensors see now, without disturbing the simulation."""
+    model, data = env._backend.mj_model, copy.copy(env.data)
+    mujoco.mj_forward(model, data)
+    hit = np.where(data.sensordata < 0, MAX_RANGE, data.sensordata)
+    return torch.from_numpy(hit.clip(1e-3, MAX_RANGE))
+
+
+def test_sensors_lag_one_substep_unless_read_once():
+    kwargs = {"seed": 3, "dtype": torch.float64}
+    late, once = RangefinderNavigationEnv(**kwargs), RangefinderNavigationEnv(once=True, **kwargs)
+    first, second = late.reset(), once.reset()
+    differences = []
+    for _ in range(20):
+        torch.testing.assert_close(
+            _current_scan(late)[None], second["observation"][:, :NUM_RAYS], rtol=0, atol=1e-9
+        )
+        differences.append((first["observation"] - second["observation"]).abs().max().item())
+        action = torch.tensor([[0.5, 0.3]], dtype=torch.float64)
+        first = late.step(first.set("action", action))["next"]
+        second = once.step(second.set("action", action))["next"]
+    # A reset leaves current sensors; a step leaves those of its last substep's start.
+    assert differences[0] < 1e-9
+    assert max(differences[1:]) > 1e-3
+
+
+@pytest.mark.parametrize("make", [MujocoNavigationEnv, RangefinderNavigationEnv])
+def test_competitor_keeps_its_specs(make):
+    env = make(seed=0)
     check_env_specs(env)
     ours = NavigationEnv(num_envs=1, seed=0)
     assert env.action_spec == ours.action_spec
@@ -100,12 +149,13 @@ def test_plan_says_why_a_case_is_left_out():
     cases, skipped = plan([1, 8, 32], serial_max=8, parallel_max=1)
     assert set(cases) | set(skipped) == {Case(v, n) for v in VARIANTS for n in (1, 8, 32)}
     assert not set(cases) & set(skipped)
-    assert {n for v, n in cases if v == "MujocoEnv in SerialEnv"} == {1, 8}
-    assert "--parallel-max" in skipped[Case("MujocoEnv in ParallelEnv", 8)]
+    for name in ("one mj_multiRay", "rangefinders", "rangefinders once"):
+        assert {n for v, n in cases if v == f"MujocoEnv, {name}, SerialEnv"} == {1, 8}
+        assert "--parallel-max" in skipped[Case(f"MujocoEnv, {name}, ParallelEnv", 8)]
 
 
 def test_ratio_compares_within_a_repetition():
-    other = Case("MujocoEnv", 1)
+    other = Case("MujocoEnv, one mj_multiRay", 1)
     rates = {Case(OURS, 1): [100.0, 10.0, 50.0], other: [50.0, 5.0, 10.0]}
     assert speed_up(rates, other) == 2.0
 
@@ -123,7 +173,7 @@ def test_script_prints_every_row(tmp_path):
         (row,) = [line for line in lines if line.startswith(variant + "  ")]
         rates = row.replace("not run", "-").removeprefix(variant).split()
         assert len(rates) == (2 if variant == OURS else 3 if "-" in rates else 4)
-    assert "not run: MujocoEnv with 2: it holds one simulation" in lines
+    assert "not run: MujocoEnv, one mj_multiRay with 2: it holds one simulation" in lines
     for word in ("mujoco 4", "torchrl", "CPUs", "threads: physics"):
         assert word in result.stdout
     with output.open() as file:
