@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torchrl.envs import (
     ActionScaling,
     CatTensors,
     Compose,
     ExcludeTransform,
-    ObservationNorm,
     TransformedEnv,
+    UnaryTransform,
 )
 
 from torchrl_morl.transforms import (
@@ -30,13 +32,25 @@ HUMAN_SCALE = 2.0
 OBSERVATION_SIZE = NUM_SECTORS + 3 + 3
 
 
+@dataclasses.dataclass(frozen=True)
+class LogRange:
+    """Maps ranges in metres to ``log(range / max_range) / 3``."""
+
+    max_range: float
+
+    def __call__(self, ranges: Tensor) -> Tensor:
+        """Ranges of any shape, at least a millimetre."""
+        return (ranges / self.max_range).clamp_min(1e-3 / self.max_range).log() / 3
+
+
 def policy_transforms(max_range: float = 4.0) -> Compose:
     """Transforms that build the policy's ``observation`` ``[*B, 36]`` and scale its action.
 
     ==========  =====================================================================
     entries     meaning
     ==========  =====================================================================
-    0 to 29     ``lidar / max_range - 1`` of each 12 degree sector, in (-1, 0]: 0 is no return
+    0 to 29     ``log(lidar / max_range) / 3`` of each 12 degree sector: 0 is no return, -1 is 0.2 m.
+                The logarithm keeps centimetres apart where they matter
     30 to 32    goal: distance / 5 m, sine and cosine of its bearing
     33 to 35    human: distance / 2 m, sine and cosine of its bearing
     ==========  =====================================================================
@@ -49,9 +63,7 @@ def policy_transforms(max_range: float = 4.0) -> Compose:
         # First, so that an error names the sensor and the ray.
         CheckFinite(["scan", "goal", "human"]),
         LidarMinPool(NUM_SECTORS),
-        ObservationNorm(
-            loc=-1.0, scale=1.0 / max_range, in_keys=["lidar"], out_keys=["lidar_features"]
-        ),
+        UnaryTransform(in_keys=["lidar"], out_keys=["lidar_features"], fn=LogRange(max_range)),
         PolarFeatures(
             in_keys=["goal", "human"],
             out_keys=["goal_features", "human_features"],

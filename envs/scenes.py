@@ -136,7 +136,7 @@ def _sample_static(n: int, robot_radius: float, rng: torch.Generator) -> TensorD
 
     def fits(box: Tensor, rows: Tensor) -> Tensor:
         return (
-            (point_box_distance(start[rows, None, :2], box) >= robot_radius + 0.3)
+            (point_box_distance(start[rows, None, :2], box) >= robot_radius + 0.5)
             & (point_box_distance(goal[rows, None], box) >= robot_radius + CLEARANCE)
             & (point_box_distance(human[rows, None, :2], box) >= HUMAN_RADIUS + passage)
         )
@@ -155,7 +155,7 @@ def _sample_moving_human(n: int, robot_radius: float, rng: torch.Generator) -> T
     def fits(box: Tensor, rows: Tensor) -> Tensor:
         walk = segment_box_distance(human[rows, None, :2], human_goal[rows, None], box)
         return (
-            (point_box_distance(start[rows, None, :2], box) >= robot_radius + 0.3)
+            (point_box_distance(start[rows, None, :2], box) >= robot_radius + 0.5)
             & (point_box_distance(goal[rows, None], box) >= robot_radius + CLEARANCE)
             & (walk >= HUMAN_RADIUS + CLEARANCE)
         )

@@ -188,6 +188,43 @@ def test_causes_exclude_each_other_and_make_up_termination(scene):
     assert causes.any(1).any(0).tolist() == [True, True, boxes]
 
 
+@pytest.mark.parametrize("snapshots", [True, False])
+def test_causes_outlive_the_reset_that_follows(snapshots):
+    env = make_env(num_envs=32, num_rays=1, snapshots=snapshots)
+    current, ends = env.reset(), 0
+    for _ in range(60):
+        # Straight ahead: some arrive at a box, none at the same time as all others.
+        action = torch.tensor([0.5, 0.0], dtype=F64).expand(32, 2)
+        step, current = env.step_and_maybe_reset(current.set("action", action))
+        after = step["next"]
+        causes = after["success"] | after["collision_human"] | after["collision_obstacle"]
+        assert torch.equal(causes, after["terminated"])
+        assert not any(current[key][after["done"]].any() for key in ("success", "collision_human"))
+        ends += int(causes.sum())
+    assert ends > 10
+
+
+@pytest.mark.parametrize("scene", ["static", "moving_human", "corridor"])
+def test_a_seed_fixes_the_same_scenes_for_any_number_of_environments(scene):
+    keys = ("pose", "human_pose", ("scene", "goal"), ("scene", "human_goal"), ("scene", "boxes"))
+    streams = []
+    for num_envs in (1, 6, 150):
+        env = make_env(num_envs=num_envs, scene=scene, num_rays=1)
+        starts = torch.cat([env.reset() for _ in range(150 // num_envs)])
+        streams.append([starts[key] for key in keys])
+    # Resets of some environments take from the same stream, in the order of their rows.
+    env = make_env(num_envs=6, scene=scene, num_rays=1)
+    first = env.reset()
+    mask = torch.tensor([[False], [True], [False], [False], [True], [True]])
+    env.reset(TensorDict({"_reset": mask}, batch_size=[6]))
+    third = env.reset()
+    for key, *values in zip(keys, *streams, strict=True):
+        assert torch.equal(values[0], values[1]) and torch.equal(values[0], values[2]), key
+        assert torch.equal(
+            torch.cat((first[key], third[key])), values[0][[*range(6), *range(9, 15)]]
+        )
+
+
 @pytest.mark.parametrize("robot", [TURTLEBOT2, HSR], ids=lambda robot: robot.name)
 def test_collisions_are_those_of_the_physics(robot):
     env = make_env(num_envs=1_000, robot=robot, num_rays=1)

@@ -16,13 +16,16 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from envs import HUMAN_RADIUS
-from envs.demonstrator import CircleDemonstrator
 from envs.geometry import wrap_angle
-from envs.policy_env import GOAL_SCALE, HUMAN_SCALE, NUM_SECTORS
+from envs.policy_env import GOAL_SCALE, HUMAN_SCALE, NUM_SECTORS, LogRange
+from envs.robots import get_robot
 from torchrl_morl.evaluation import discrete_frechet, steerability
 from torchrl_morl.modules import RewardModel
 
 from . import utils
+
+# Of the environment's lidar.
+_NUM_RAYS, _MAX_RANGE = 720, 4.0
 
 
 @torch.no_grad()
@@ -56,7 +59,7 @@ def write_report(
     rivals = {name: value for name, value in contrast.items() if name != "demonstration"}
     lead = contrast["demonstration"] - max(rivals.values())
     degradation_figure(run_dir / "degradation.png", cfg, noisy)
-    heat_map(run_dir / "heat_map.png", model)
+    heat_map(run_dir / "heat_map.png", cfg, model)
     contrast_figure(run_dir / "style_contrast.png", contrast)
     rho = steerability(torch.tensor(levels), torch.tensor(scores))
     print(f"Spearman rho(noise level, mean R) = {rho:.2f} (gate: <= -0.9)")
@@ -75,16 +78,12 @@ def write_report(
 
 
 def degradation_figure(
-    path: Path,
-    cfg: DictConfig,
-    noisy: list[tuple[float, TensorDictBase]],
-    rollouts: int = 20,
+    path: Path, cfg: DictConfig, noisy: list[tuple[float, TensorDictBase]]
 ) -> None:
     """Core return and Frechet distance to the demonstration against noise (Fig. 2a)."""
-    demonstrator = CircleDemonstrator(
-        cfg.demonstrations.radius, cfg.demonstrations.side, scaled=True
-    )
-    reference = utils.rollouts(demonstrator, rollouts, cfg.seed + 10_000, **cfg.env)
+    rollouts = min(cfg.diagnostics.rollouts, cfg.noise.rollouts)
+    # In the scenes of the noisy rollouts.
+    reference = utils.rollouts(utils.demonstrator(cfg), rollouts, cfg.seed + 10_000, **cfg.env)
     core, frechet = [], []
     for _, data in noisy:
         data = data[:rollouts]
@@ -115,34 +114,41 @@ def degradation_figure(
     plt.close(fig)
 
 
-def heat_map(path: Path, model: RewardModel, goal: float = 4.0, extent: float = 2.5) -> None:
+def heat_map(
+    path: Path, cfg: DictConfig, model: RewardModel, goal: float = 4.0, extent: float = 2.5
+) -> None:
     """R over the plane around a human, for a robot that heads as demonstrated, and opposite."""
+    radius, robot = cfg.demonstrations.radius, get_robot(cfg.env.robot)
+    mirror = 1.0 if cfg.demonstrations.side == "left" else -1.0
     axis = torch.linspace(-extent, extent, 101)
     x, y = torch.meshgrid(axis, axis, indexing="xy")
     position = torch.stack((x, y), dim=-1)  # the human is the origin, the goal lies to the right
     distance = position.norm(dim=-1)
     towards_human = torch.atan2(-y, -x)
     towards_goal = torch.atan2(-y, goal - x)
-    angle = torch.atan2(y, x)  # pi before the human, 0 behind it
+    angle = torch.atan2(mirror * y, x)  # pi before the human, 0 behind it
     phase = torch.where(angle < -torch.pi / 2, angle + 2 * torch.pi, angle)
-    tangent = towards_human + torch.pi / 2
-    leaving, orbiting = phase <= 0.1, distance <= 1.2
+    tangent = towards_human + mirror * torch.pi / 2
+    leaving, orbiting = phase <= 0.1, distance <= radius + 0.2
     heading = torch.where(leaving, towards_goal, torch.where(orbiting, tangent, towards_human))
     fig, axes = plt.subplots(1, 2, figsize=(10.5, 4.6), layout="constrained")
     for ax, turned, title in (
         (axes[0], 0.0, "heading as demonstrated"),
         (axes[1], torch.pi, "heading the opposite way"),
     ):
-        turn_rate = torch.where(leaving | ~orbiting, 0.0, -0.5 / torch.pi)
+        curve = -mirror * cfg.demonstrations.speed / radius / robot.max_turn_rate
+        turn_rate = torch.where(leaving | ~orbiting, 0.0, curve)
+        speed = torch.full_like(turn_rate, 2 * cfg.demonstrations.speed / robot.max_speed - 1)
         features = observation(position, heading + turned, goal)
-        action = torch.stack((torch.ones_like(turn_rate), turn_rate), dim=-1)
+        action = torch.stack((speed, turn_rate), dim=-1)
         data = TensorDict({"observation": features, "action": action}, batch_size=x.shape)
         score = model(data)["demo_score"].squeeze(-1)
         image = ax.pcolormesh(x, y, score, vmin=0, vmax=1, cmap="viridis", shading="auto")
         circle = torch.linspace(0, torch.pi, 100)
-        ax.plot(circle.cos(), circle.sin(), color="white", linestyle="--", linewidth=1.5)
-        ax.plot([-extent, -1], [0, 0], color="white", linestyle="--", linewidth=1.5)
-        ax.plot([1, extent], [0, 0], color="white", linestyle="--", linewidth=1.5)
+        line = {"color": "white", "linestyle": "--", "linewidth": 1.5}
+        ax.plot(radius * circle.cos(), mirror * radius * circle.sin(), **line)
+        ax.plot([-extent, -radius], [0, 0], **line)
+        ax.plot([radius, extent], [0, 0], **line)
         ax.add_patch(plt.Circle((0, 0), HUMAN_RADIUS, color="#d55e00"))
         ax.set_aspect("equal")
         ax.set_title(title)
@@ -161,16 +167,15 @@ def observation(position: Tensor, heading: Tensor, goal: float) -> Tensor:
         bearing = wrap_angle(torch.atan2(dy, dx) - heading)
         return [torch.hypot(dx, dy) / scale, bearing.sin(), bearing.cos()]
 
-    lidar = torch.zeros(*x.shape, NUM_SECTORS)
-    distance = torch.hypot(x, y)
-    bearing = wrap_angle(torch.atan2(-y, -x) - heading)
-    sector = torch.arange(NUM_SECTORS) * (2 * torch.pi / NUM_SECTORS) + torch.pi / NUM_SECTORS
-    half = torch.asin((HUMAN_RADIUS / distance.clamp_min(HUMAN_RADIUS)).clamp(max=1.0))
-    seen = wrap_angle(sector - bearing[..., None]).abs() <= (
-        half[..., None] + torch.pi / NUM_SECTORS
-    )
-    surface = ((distance - HUMAN_RADIUS).clamp(0.0, 4.0) / 4.0 - 1.0)[..., None]
-    lidar = torch.where(seen, surface, lidar)
+    # Where each ray meets the cylinder that stands for the human.
+    distance = torch.hypot(x, y)[..., None]
+    ray = torch.arange(_NUM_RAYS).to(x) * (2 * torch.pi / _NUM_RAYS)
+    off = ray - (torch.atan2(-y, -x) - heading)[..., None]
+    aside = distance * off.sin()
+    along = distance * off.cos() - (HUMAN_RADIUS**2 - aside**2).clamp_min(0.0).sqrt()
+    hit = (aside.abs() <= HUMAN_RADIUS) & (off.cos() > 0) | (distance <= HUMAN_RADIUS)
+    scan = along.clamp(0.0, _MAX_RANGE).masked_fill(~hit, _MAX_RANGE)
+    lidar = LogRange(_MAX_RANGE)(scan.unflatten(-1, (NUM_SECTORS, -1)).amin(-1))
     polar = features(goal - x, -y, GOAL_SCALE) + features(-x, -y, HUMAN_SCALE)
     return torch.cat((lidar, torch.stack(polar, dim=-1)), dim=-1)
 

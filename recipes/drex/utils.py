@@ -75,18 +75,11 @@ def pad(data: TensorDictBase, steps: int) -> TensorDictBase:
 
 def collect_demonstrations(cfg: DictConfig) -> TensorDictBase:
     """``N_D`` collision-free rollouts of the scripted pattern in random scenes."""
-    demonstrator = CircleDemonstrator(
-        cfg.demonstrations.radius,
-        cfg.demonstrations.side,
-        cfg.demonstrations.speed,
-        cfg.env.robot,
-        scaled=True,
-    )
     kept: list[TensorDictBase] = []
     wanted, seed = cfg.demonstrations.count, cfg.seed
     with tqdm.tqdm(total=wanted, desc="demonstrations", unit="rollout") as progress:
         while progress.n < wanted:
-            data = rollouts(demonstrator, cfg.demonstrations.batch, seed, **cfg.env)
+            data = rollouts(demonstrator(cfg), cfg.demonstrations.batch, seed, **cfg.env)
             data = data[succeeded(data)][: wanted - progress.n]
             kept.append(data)
             progress.update(len(data))
@@ -125,7 +118,7 @@ def clone_behaviour(
             value.backward()
             optimizer.step()
             progress.update()
-            if update % 250 == 0:
+            if update % 250 == 0 or update == cfg.cloning.updates:
                 with torch.no_grad():
                     check = loss(test)["loss_bc"].item()
                 progress.set_postfix(train=f"{value.item():.4f}", held_out=f"{check:.4f}")
@@ -165,10 +158,10 @@ def other_styles(cfg: DictConfig) -> list[TensorDictBase]:
 
     mirror = "right" if cfg.demonstrations.side == "left" else "left"
     policies = (
-        CircleDemonstrator(radii(), cfg.demonstrations.side, scaled=True),
-        CircleDemonstrator(radii(), mirror, scaled=True),
-        CircleDemonstrator(cfg.demonstrations.radius, mirror, scaled=True),
-        StraightDriver(scaled=True),
+        demonstrator(cfg, radius=radii()),
+        demonstrator(cfg, radius=radii(), side=mirror),
+        demonstrator(cfg, side=mirror),
+        StraightDriver(cfg.demonstrations.speed, cfg.env.robot, scaled=True),
     )
     return [
         rollouts(policy, count, cfg.seed + 20_000 + index, **cfg.env)
@@ -236,27 +229,22 @@ def train_reward_model(
 def contrast_styles(cfg: DictConfig) -> dict[str, TensorDictModuleBase]:
     """The demonstration and what it must be told from."""
     mirror = "right" if cfg.demonstrations.side == "left" else "left"
-    side, radius = cfg.demonstrations.side, cfg.demonstrations.radius
-    styles: dict[str, TensorDictModuleBase] = {
-        "demonstration": CircleDemonstrator(radius, side, scaled=True)
-    }
+    styles: dict[str, TensorDictModuleBase] = {"demonstration": demonstrator(cfg)}
     for factor in (0.7, 1.3, 1.6):
-        other = factor * radius
-        styles[f"orbit {other:.1f} m"] = CircleDemonstrator(other, side, scaled=True)
-    styles["mirrored"] = CircleDemonstrator(radius, mirror, scaled=True)
-    styles["distance keeping"] = CircleDemonstrator(1.9, side, scaled=True)
-    styles["straight"] = StraightDriver(scaled=True)
+        other = factor * cfg.demonstrations.radius
+        styles[f"orbit {other:.1f} m"] = demonstrator(cfg, radius=other)
+    styles["mirrored"] = demonstrator(cfg, side=mirror)
+    styles["distance keeping"] = demonstrator(cfg, radius=1.9)
+    styles["straight"] = StraightDriver(cfg.demonstrations.speed, cfg.env.robot, scaled=True)
     return styles
 
 
 @torch.no_grad()
-def style_contrast(
-    cfg: DictConfig, model: RewardModel, count: int = 200, within: float = 2.0
-) -> dict[str, float]:
+def style_contrast(cfg: DictConfig, model: RewardModel, within: float = 2.0) -> dict[str, float]:
     """Mean R of each style over its steps within 2 m of the human, on fresh scenes."""
     result = {}
     for name, policy in contrast_styles(cfg).items():
-        data = rollouts(policy, count, cfg.seed + 30_000, **cfg.env)
+        data = rollouts(policy, cfg.diagnostics.rollouts, cfg.seed + 30_000, **cfg.env)
         score = model(data.select("observation", "action"))["demo_score"].squeeze(-1)
         near = data["mask"] & (data["human"][..., 0] < within)
         result[name] = score[near].mean().item()
@@ -283,6 +271,11 @@ def metadata(cfg: DictConfig) -> dict[str, Any]:
         "demonstrator": demonstrator_arguments(cfg),
         "versions": {name: importlib.metadata.version(name) for name in packages},
     }
+
+
+def demonstrator(cfg: DictConfig, **changes: Any) -> CircleDemonstrator:
+    """Drives what is demonstrated, or what differs from it by other arguments."""
+    return CircleDemonstrator(**demonstrator_arguments(cfg) | changes, scaled=True)
 
 
 def demonstrator_arguments(cfg: DictConfig) -> dict[str, Any]:
