@@ -90,8 +90,8 @@ def main() -> None:
         goal_radius=GOAL_RADIUS,
     )
     print(
-        f"\nPreference changed after {change.switch_step * 0.2:.1f} s: {change.separation:.2f} m "
-        "off the old path one second later"
+        f"\nPreference changed after {change.switch_step * 0.2:.1f} s: one second later the robot "
+        f"heads {change.turned:.0f} degrees elsewhere, {change.separation:.2f} m off the old path"
     )
     movie = film(args.output / "sweep.gif", actor, space, space.corners())
     print(f"Pictures: {figure}, {switched}; film: {movie}")

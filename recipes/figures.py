@@ -83,10 +83,11 @@ def sweep_figure(path: Path, rows: list[Row], *, goal_radius: float) -> None:
             shown[0 if row.second == "efficiency" or row.first == "efficiency" else 1] = "frechet"
         metrics = row.statistics.metrics
         for ax, name in zip(line[2:], shown, strict=True):
-            values = np.asarray(metrics[name].float())
-            low, middle, high = np.nanpercentile(values, [25, 50, 75], axis=1)
+            values = metrics[name].float()
+            # Unlike NumPy's, these know what to say of a policy that never reaches the goal: NaN.
+            low, middle, high = values.nanquantile(torch.tensor([0.25, 0.5, 0.75]), dim=1)
             ax.fill_between(share, low, high, alpha=0.25, color="#0072b2", label="middle half")
-            ax.plot(share, np.nanmean(values, axis=1), "o-", color="#0072b2", label="mean")
+            ax.plot(share, values.nanmean(1), "o-", color="#0072b2", label="mean")
             ax.plot(share, middle, "--", color="0.4", label="median")
             ax.set_xlabel(f"weight of {row.second}")
             ax.set_ylabel(_LABELS[name])

@@ -135,8 +135,10 @@ def sweep(
     start = first[0]
     metrics, paths, demonstration = episode_metrics(rollout), trajectories(rollout), None
     if demonstrator is not None:
+        # It was shown by a robot without faults.
+        faultless = {key: value for key, value in env_kwargs.items() if key != "perturbation"}
         demonstration = demonstrated_paths(
-            demonstrator, start, max_episode_steps=max_episode_steps, **env_kwargs
+            demonstrator, start, max_episode_steps=max_episode_steps, **faultless
         )
         metrics["frechet"] = discrete_frechet(
             paths["position"], paths["mask"], demonstration["position"], demonstration["mask"]

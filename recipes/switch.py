@@ -11,6 +11,7 @@ from torch import Tensor
 from torchrl.envs import step_mdp
 
 from envs import NavigationEnv
+from envs.geometry import wrap_angle
 from envs.metrics import trajectories
 from envs.policy_env import make_policy_env
 from torchrl_morl.evaluation import episode_mask
@@ -36,6 +37,13 @@ class Switch:
         position = self.paths["position"][:, step]
         return (position[2] - position[0]).norm().item()
 
+    @property
+    def turned(self) -> float:
+        """By how much its heading differs then from what it would have been, degrees."""
+        step = self.switch_step + round(1.0 / NavigationEnv.CONTROL_PERIOD)
+        heading = self.paths["heading"][:, step]
+        return wrap_angle(heading[2] - heading[0]).abs().rad2deg().item()
+
 
 @torch.no_grad()
 def switch(
@@ -43,7 +51,7 @@ def switch(
     space: PreferenceSpace,
     preferences: Tensor,
     *,
-    switch_step: int = 15,
+    switch_step: int = 28,
     scene: str = "showcase",
     seed: int = 0,
     goal_radius: float = 0.3,

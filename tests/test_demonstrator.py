@@ -11,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import ActionScaling, TransformedEnv
 
 from envs import HSR, TURTLEBOT2, NavigationEnv
-from envs.demonstrator import CircleDemonstrator, StraightDriver
+from envs.demonstrator import CircleDemonstrator, StraightDriver, demonstrated_paths
 from envs.geometry import rotate, wrap_angle
 from torchrl_morl.evaluation import episode_mask
 
@@ -305,3 +305,47 @@ def test_the_straight_driver_turns_before_it_drives():
     speed, turn = StraightDriver()(seen)["action"].unbind(-1)
     assert speed.tolist() == pytest.approx([0.0, 0.0, 0.5 * math.cos(0.1) ** 2])
     assert turn.tolist() == pytest.approx([math.pi, -math.pi, 0.4])
+
+
+# --- what it drives in given scenes ------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def static() -> tuple[TensorDictBase, TensorDict]:
+    """The demonstrator in 100 scenes with boxes, and its paths as if there were none."""
+    env = make_env(scene="static", num_envs=100, seed=4)
+    start = env.reset()
+    paths = demonstrated_paths(CircleDemonstrator(), start, scene="static", dtype=torch.float64)
+    return roll_out(env, CircleDemonstrator(), start.clone()), paths
+
+
+def test_free_paths_are_those_that_the_demonstrator_drives(static):
+    real, paths = static
+    hit = (real["next", "collision_obstacle"].squeeze(-1) & real["mask"]).any(-1)
+    assert 10 < hit.sum() < 90
+    assert torch.equal(paths["free"], ~hit)
+    assert succeeded(real)[paths["free"]].all()
+    for row in range(100):
+        steps = int(real["mask"][row].sum())
+        driven = torch.cat((real["pose"][row, :1], real["next", "pose"][row, :steps]))[:, :2]
+        path = paths["position"][row][paths["mask"][row]]
+        # Up to the box that stops it, if there is one in the way.
+        same = steps + int(paths["free"][row])
+        assert torch.equal(path[:same], driven[:same])
+        assert (len(path) == steps + 1) == bool(paths["free"][row])
+
+
+def test_boxes_do_not_influence_the_path(static):
+    real, paths = static
+    start = real[:, 0].clone()
+    middle = paths["position"][torch.arange(100), paths["mask"].sum(-1) // 2]
+    start["scene", "boxes"][:, 0, :2] = middle
+    before = start.clone()
+    blocked = demonstrated_paths(CircleDemonstrator(), start, scene="static", dtype=torch.float64)
+    assert torch.equal(blocked["position"], paths["position"])
+    assert torch.equal(blocked["mask"], paths["mask"])
+    assert not blocked["free"].any()
+    assert (start == before).all()
+    start["scene", "boxes"][..., 1] += 50.0
+    cleared = demonstrated_paths(CircleDemonstrator(), start, scene="static", dtype=torch.float64)
+    assert cleared["free"].all()

@@ -80,7 +80,9 @@ def distilled(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("drex") / "run"
     result = distill(folder)
     assert result.returncode == 0, result.stderr
-    assert "Warning" not in result.stderr
+    warnings = [line for line in result.stderr.splitlines() if "Warning" in line]
+    # TorchRL's BCLoss about itself.
+    assert all("torchrl/objectives/common.py" in line for line in warnings), warnings
     for text in ("Spearman rho(noise level, mean R)", "lead of the demonstration", *STYLES):
         assert text in result.stdout
     return folder
@@ -199,7 +201,8 @@ def test_other_styles_are_none_of_the_demonstration():
     assert ((torch.cat(near) - 1.0).abs() > 0.05).any()
     # What a robot on the other side sees: the human on its left.
     beside = opposite["mask"] & (opposite["human"][..., 0] < 1.05)
-    assert (opposite["human"][..., 1][beside] > 0.3).all()
+    median = opposite["human"][..., 1][beside].median().item()
+    assert median == pytest.approx(math.pi / 2, abs=0.2)
 
 
 @pytest.mark.parametrize("updates", [100, 500])
@@ -212,24 +215,23 @@ def test_cloning_returns_its_best_policy(updates):
         mask=torch.ones(12, 30, dtype=torch.bool),
         batch_size=[12, 30],
     )
-    cfg = config(cloning__num_cells=[16], cloning__updates=updates, cloning__batch_size=32, seed=0)
+    cfg = config(cloning__num_cells=[16], cloning__updates=updates, cloning__lr=1e-2)
     policy, loss = utils.clone_behaviour(cfg, data)
     error = (policy(data.clone())["action"] - data["action"]).square().mean()
-    assert error < 0.5 * data["action"].square().mean()
-    assert loss == pytest.approx(error.item(), rel=0.5)
+    signal = data["action"].square().mean()
+    assert error < 0.1 * signal
+    assert 0 < loss < 0.1 * signal
 
 
-POLAR = {
-    "goal": torch.tensor([[5.0, 0.1], [4.0, 0.0], [3.0, -1.0]]),
-    "human": torch.tensor([[2.0, 0.2], [1.05, -1.4], [1.5, 2.9]]),
-}
+AHEAD = torch.tensor([[5.0, 0.1], [4.0, 0.0], [4.0, 0.0]])
+BESIDE = torch.tensor([[2.0, 0.2], [1.0, -math.pi / 2], [1.0, math.pi / 2]])
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_contrast_is_with_the_demonstration_that_was_given(side):
     section = {"radius": 1.2, "side": side, "speed": 0.3}
     cfg = config(**{f"demonstrations__{key}": value for key, value in section.items()})
-    seen = TensorDict(POLAR, batch_size=[3])
+    seen = TensorDict(goal=AHEAD, human=BESIDE, batch_size=[3])
     expected = CircleDemonstrator(**section, scaled=True)(seen.clone())["action"]
     styles = utils.contrast_styles(cfg)
     assert torch.equal(styles.pop("demonstration")(seen.clone())["action"], expected)
@@ -267,7 +269,7 @@ def test_observation_of_the_report_is_the_environments():
 
 
 @pytest.mark.parametrize(("radius", "side"), [(1.0, "left"), (1.4, "left"), (1.0, "right")])
-def test_heat_map_heads_as_demonstrated(radius, side, tmp_path, monkeypatch):
+def test_heat_map_heads_as_demonstrated(radius, side, tmp_path):
     """Its left picture is what the demonstrator would do there, once it has turned."""
     section = {"radius": radius, "side": side}
     cfg = config(**{f"demonstrations__{key}": value for key, value in section.items()})
@@ -278,7 +280,7 @@ def test_heat_map_heads_as_demonstrated(radius, side, tmp_path, monkeypatch):
             seen.append(data.clone())
             return super().forward(data)
 
-    model = Spy(in_features=OBSERVATION_SIZE + 2, num_cells=(4,))
+    model = Spy(in_features=OBSERVATION_SIZE + 2, num_cells=(4,)).requires_grad_(False)
     report.heat_map(tmp_path / "heat_map.png", cfg, model)
     assert (tmp_path / "heat_map.png").stat().st_size > 10_000
     data = seen[0].reshape(-1)

@@ -193,6 +193,20 @@ def test_training_without_an_update_has_no_policy(tmp_path):
     assert not (tmp_path / "policies").exists()
 
 
+def test_run_folder_that_holds_policies_is_refused_before_the_training(trained):
+    folder, _ = trained
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    kept = [path for path in files if ".hydra" not in path.parts and path.suffix != ".log"]
+    before = [path.read_bytes() for path in kept]
+    result = train(folder)
+    assert result.returncode != 0
+    message = f"{folder / 'policies'} exists and is not overwritten: choose another hydra.run.dir"
+    assert message in result.stderr
+    assert "step/s" not in result.stderr
+    assert sorted(path for path in folder.rglob("*") if path.is_file()) == files
+    assert [path.read_bytes() for path in kept] == before
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [

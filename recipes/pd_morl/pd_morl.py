@@ -30,6 +30,7 @@ def main(cfg: DictConfig) -> None:
     torch.manual_seed(cfg.seed)
     device = torch.device(cfg.device)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
+    utils.check_run_dir(run_dir)
 
     # The agent: an actor and twin critics that read the preference, one value per objective.
     demo = utils.load_demonstration_objective(cfg)

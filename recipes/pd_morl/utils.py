@@ -365,6 +365,15 @@ def crossed(interval: int, before: int, after: int) -> bool:
 # --- files -------------------------------------------------------------------------------------
 
 
+def check_run_dir(run_dir: Path) -> None:
+    """Refuse a folder that another training has left policies in, before hours of training."""
+    policies = run_dir / "policies"
+    if policies.exists():
+        raise FileExistsError(
+            f"{policies} exists and is not overwritten: choose another hydra.run.dir."
+        )
+
+
 def write_run_info(run_dir: Path) -> None:
     """Versions and git state, beside the resolved configuration that Hydra writes."""
     packages = ("torch", "torchrl", "tensordict", "mujoco", "numpy")
