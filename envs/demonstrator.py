@@ -52,8 +52,8 @@ class CircleDemonstrator(TensorDictModuleBase):
         ... )
         >>> bool(rollout["next", "success"].any(1).all())
         True
-        >>> 0.9 < rollout["human"][..., 0].min() < 1.0
-        tensor(True)
+        >>> bool((rollout["human"][..., 0].amin(1) - 1.0).abs().max() < 0.05)
+        True
     """
 
     def __init__(

@@ -136,7 +136,7 @@ def test_last_and_best_checkpoint_can_be_loaded(trained):
     assert rotation.best().name.endswith(best)
     assert len(rotation.checkpoints()) == len({best, "000000960"})
 
-    # The checkpoint holds the actor that is in the policy's file.
+    # The checkpoint holds the averaged actor that is in the policy's file, beside the latest one.
     class Sink:
         def load_state_dict(self, state):
             self.state = state
@@ -144,11 +144,16 @@ def test_last_and_best_checkpoint_can_be_loaded(trained):
         def state_dict(self):
             return {}
 
-    sink = Sink()
-    Checkpoint(loss=sink).load(rotation.latest(), components=["loss"], strict="warn")
+    loss, averaged = Sink(), Sink()
+    checkpoint = Checkpoint(loss=loss, averaged=averaged)
+    checkpoint.load(rotation.latest(), components=["loss", "averaged"], strict="warn")
     actor, _, _ = load_policy(folder / "policies" / "000000960")
+    for name, value in actor.state_dict().items():
+        assert torch.equal(averaged.state[f"module.{name}"], value)
     weight = actor.state_dict()["module.0.module.0.weight"]
-    assert any(torch.equal(value, weight) for value in _tensors(sink.state))
+    latest = [value for value in _tensors(loss.state) if value.shape == weight.shape]
+    assert latest
+    assert not any(torch.equal(value, weight) for value in latest)
 
 
 def _tensors(state: dict) -> list[torch.Tensor]:
