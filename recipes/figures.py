@@ -142,7 +142,7 @@ def switch_figure(
         turn.plot(time[:length], actions[index, :length, 1], color=color, linestyle=style)
     where = np.asarray(paths["position"][-1, switch_step])
     ax.plot(*where, "X", markersize=11, color="#cc79a7", label="preference changes", zorder=6)
-    ax.legend(loc="upper left", fontsize=9)
+    ax.legend(loc="lower left", fontsize=9)
     turn.set_ylabel("commanded turn rate / rad/s")
     same = paths["mask"][-1] & paths["mask"][0]
     gap = (paths["position"][-1] - paths["position"][0]).norm(dim=-1)[same]
