@@ -163,7 +163,9 @@ def test_rendering():
     try:
         frame = env.render()
     except RuntimeError as error:
-        pytest.skip(str(error))
+        if "OpenGL" not in str(error):
+            raise
+        pytest.skip(str(error))  # a machine that cannot draw
     assert frame.shape == (48, 64, 3) and frame.dtype == np.uint8 and frame.std() > 1
     assert NavigationGymEnv().render() is None
 

@@ -58,6 +58,11 @@ TRANSITION = (
 def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | None:
     """The reward model that adds the objective "demo", and its card; ``None`` without one."""
     folder = cfg.demonstrations.reward_model
+    if folder is None and cfg.demonstrations.dataset is not None:
+        raise ValueError(
+            "demonstrations.dataset needs demonstrations.reward_model: without one there is no "
+            'objective "demo" for them.'
+        )
     return None if folder is None else load_reward_model(folder)
 
 
