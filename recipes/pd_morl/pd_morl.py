@@ -20,7 +20,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.objectives import SoftUpdate
 
-from . import utils
+from . import evaluation, files, utils
 
 
 @hydra.main(version_base="1.3", config_path="", config_name="config")
@@ -30,7 +30,7 @@ def main(cfg: DictConfig) -> None:
     torch.manual_seed(cfg.seed)
     device = torch.device(cfg.device)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
-    utils.check_run_dir(run_dir)
+    files.check_run_dir(run_dir)
 
     # The agent: an actor and twin critics that read the preference, one value per objective.
     demo = utils.load_demonstration_objective(cfg)
@@ -46,11 +46,11 @@ def main(cfg: DictConfig) -> None:
     )
     optimizers, schedulers = utils.make_optimizers(cfg, loss)
     replay_buffer = utils.make_replay_buffer(cfg, space, device)
-    demonstration = utils.demonstrated(cfg, demo_card) if demo else None
+    demonstration = evaluation.demonstrated(cfg, demo_card) if demo else None
     if demo and cfg.demonstrations.dataset:
         utils.prefill(cfg, replay_buffer, space, reward_model)
     # Nothing is written before the configuration has been accepted.
-    utils.write_run_info(run_dir)
+    files.write_run_info(run_dir)
     loggers = utils.make_loggers(cfg, run_dir)
 
     collector = Collector(
@@ -109,12 +109,12 @@ def main(cfg: DictConfig) -> None:
         if updates and (last or utils.crossed(cfg.evaluation.interval, collected, frames)):
             # Corner preferences: their returns are the key solutions of the interpolator.
             with timeit("evaluate"):
-                result = utils.evaluate(cfg, eval_env, averaged.module, space, demonstration)
+                result = evaluation.evaluate(cfg, eval_env, averaged.module, space, demonstration)
             loss.interpolator.refit(result.key_solutions, cfg.evaluation.refit_momentum)
             score, success = result.score, result.success
             utils.log_metrics(loggers, result.metrics, frames)
             checkpoints.save(state, step=frames, metadata={"score": score})
-            utils.save_training_policy(
+            files.save_training_policy(
                 run_dir / "policies" / f"{frames:09d}",
                 cfg,
                 averaged.module,
@@ -126,7 +126,7 @@ def main(cfg: DictConfig) -> None:
     progress.close()
     collector.shutdown()
     timeit.print()
-    utils.finish(run_dir, cfg)
+    files.finish(run_dir, cfg)
 
 
 if __name__ == "__main__":

@@ -1,22 +1,14 @@
-"""What the PD-MORL script is made of: factories first, then evaluation, logging and files."""
+"""What the PD-MORL script is made of: factories first, then logging."""
 
 from __future__ import annotations
 
-import dataclasses
-import importlib.metadata
-import json
 import math
-import platform
-import shutil
-import subprocess
-import time
 from pathlib import Path
 from typing import Any
 
 import torch
 import tqdm
-from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDict
+from omegaconf import DictConfig
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
@@ -25,12 +17,9 @@ from torchrl.modules import AdditiveGaussianModule
 from torchrl.record.loggers import Logger, get_logger
 
 from envs import NavigationEnv
-from envs.demonstrator import CircleDemonstrator, demonstrated_paths
-from envs.metrics import episode_metrics, trajectories
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env
 from torchrl_morl.data import load_demonstrations
-from torchrl_morl.deploy import load_reward_model, save_policy
-from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
+from torchrl_morl.deploy import load_reward_model
 from torchrl_morl.modules import (
     PreferenceInterpolator,
     RewardModel,
@@ -51,8 +40,6 @@ TRANSITION = (
     ),
 )
 """What the replay buffer keeps."""
-
-# --- factories ---------------------------------------------------------------------------------
 
 
 def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | None:
@@ -142,6 +129,7 @@ def make_loss(
         policy_noise=cfg.loss.policy_noise,
         noise_clip=cfg.loss.noise_clip,
         loss_function=cfg.loss.loss_function,
+        target_selection=cfg.loss.target_selection,
     )
     if cfg.loss.truncation_is_terminal:
         loss.set_keys(terminated="done")
@@ -217,16 +205,6 @@ def prefill(
     replay_buffer.extend(data.select(*TRANSITION))
 
 
-def demonstrated(cfg: DictConfig, card: dict[str, Any]) -> TensorDict:
-    """What the demonstrator does in the scenes of the evaluation."""
-    kwargs = {**cfg.env, "num_envs": cfg.evaluation.episodes}
-    env = NavigationEnv(seed=cfg.evaluation.seed, **kwargs)
-    start = env.reset()
-    env.close()
-    del kwargs["num_envs"]
-    return demonstrated_paths(CircleDemonstrator(**card["demonstrator"]), start, **kwargs)
-
-
 def step(optimizer: torch.optim.Optimizer, loss: Tensor, max_grad_norm: float) -> dict[str, Tensor]:
     """One optimizer step with clipped gradients; returns the gradient's norm before clipping."""
     optimizer.zero_grad(set_to_none=True)
@@ -235,86 +213,6 @@ def step(optimizer: torch.optim.Optimizer, loss: Tensor, max_grad_norm: float) -
     norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
     optimizer.step()
     return {"grad_norm": norm.detach()}
-
-
-# --- evaluation --------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True)
-class Evaluation:
-    """Deterministic episodes at the corner preferences and at their mean."""
-
-    names: tuple[str, ...]
-    columns: dict[str, list[float]]
-    """One value per preference."""
-    key_solutions: Tensor
-    """Mean scaled return of the tunable objectives at each corner, ``[T, T]``."""
-    score: float
-    """Mean scaled utility over the preferences; picks the best checkpoint."""
-
-    @property
-    def success(self) -> float:
-        """Over all preferences, percent."""
-        return sum(self.columns["success"]) / len(self.names)
-
-    @property
-    def metrics(self) -> dict[str, float]:
-        """Flat names for the loggers."""
-        flat = {"eval/score": self.score, "eval/success": self.success}
-        for column, values in self.columns.items():
-            for name, value in zip(self.names, values, strict=True):
-                flat[f"eval/{column}/{name}"] = value
-        return flat
-
-    def table(self, frames: int) -> str:
-        """For the terminal."""
-        lines = [f"after {frames:,} steps (score {self.score:.2f})"]
-        lines.append(f"{'preference':>12}" + "".join(f"{name:>12}" for name in self.columns))
-        for row, name in enumerate(self.names):
-            values = "".join(f"{column[row]:12.2f}" for column in self.columns.values())
-            lines.append(f"{name:>12}{values}")
-        return "\n".join(lines)
-
-
-def evaluate(
-    cfg: DictConfig,
-    env: EnvBase,
-    actor: TensorDictModule,
-    space: PreferenceSpace,
-    demonstration: TensorDict | None,
-) -> Evaluation:
-    corners = space.corners()
-    preferences = torch.cat((corners, corners.mean(0, keepdim=True)))
-    data = rollout_preferences(
-        env, actor, preferences, max_steps=cfg.env.max_episode_steps, seed=cfg.evaluation.seed
-    )
-    mask, metrics = data["mask"], episode_metrics(data)
-    reward = cfg.replay_buffer.reward_scale * data["next", "reward"]
-    returns = (reward * mask.unsqueeze(-1)).sum(-2)  # [P, N, K]
-    utility = (space.weights(preferences).unsqueeze(1) * returns).sum(-1)
-    collision = metrics["collision_human"] | metrics["collision_obstacle"]
-    saturated = (data["action"].abs() > 0.99).float().mean(-1)
-    columns = {
-        "success": 100 * metrics["success"].float().mean(-1),
-        "collision": 100 * collision.float().mean(-1),
-        "timeout": 100 * metrics["timeout"].float().mean(-1),
-        "time": metrics["time"].nanmean(-1),
-        "human": metrics["min_human_distance"].mean(-1),
-        "saturated": (saturated * mask).sum((-2, -1)) / mask.sum((-2, -1)),
-    }
-    if demonstration is not None:
-        path = trajectories(data)
-        frechet = discrete_frechet(
-            path["position"], path["mask"], demonstration["position"], demonstration["mask"]
-        )
-        columns["frechet"] = frechet[:, demonstration["free"]].mean(-1)
-        columns["frechet all"] = frechet.mean(-1)
-    return Evaluation(
-        names=(*space.tunable, "balanced"),
-        columns={name: values.tolist() for name, values in columns.items()},
-        key_solutions=returns[: len(corners)].mean(1)[:, list(space.tunable_indices)],
-        score=utility.mean().item(),
-    )
 
 
 # --- logging -----------------------------------------------------------------------------------
@@ -365,82 +263,3 @@ def progress_line(
 def crossed(interval: int, before: int, after: int) -> bool:
     """Whether a multiple of the interval lies in (before, after]."""
     return after // interval > before // interval
-
-
-# --- files -------------------------------------------------------------------------------------
-
-
-def check_run_dir(run_dir: Path) -> None:
-    """Refuse a folder that another training has left policies in, before hours of training."""
-    policies = run_dir / "policies"
-    if policies.exists():
-        raise FileExistsError(
-            f"{policies} exists and is not overwritten: choose another hydra.run.dir."
-        )
-
-
-def write_run_info(run_dir: Path) -> None:
-    """Versions and git state, beside the resolved configuration that Hydra writes."""
-    packages = ("torch", "torchrl", "tensordict", "mujoco", "numpy")
-    info = {
-        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "python": platform.python_version(),
-        "versions": {name: importlib.metadata.version(name) for name in packages},
-        "git": _git_state(run_dir),
-    }
-    (run_dir / "run.json").write_text(json.dumps(info, indent=2) + "\n")
-
-
-def _git_state(run_dir: Path) -> dict[str, Any] | None:
-    if shutil.which("git") is None:
-        return None
-
-    def git(*arguments: str) -> subprocess.CompletedProcess:
-        where = Path(__file__).parent
-        return subprocess.run(["git", *arguments], cwd=where, capture_output=True, text=True)
-
-    commit = git("rev-parse", "HEAD")
-    if commit.returncode:
-        return None
-    diff = git("diff", "HEAD").stdout
-    if diff:
-        (run_dir / "uncommitted.diff").write_text(diff)
-    return {"commit": commit.stdout.strip(), "uncommitted_changes": bool(diff)}
-
-
-def save_training_policy(
-    folder: Path,
-    cfg: DictConfig,
-    actor: TensorDictModule,
-    space: PreferenceSpace,
-    result: Evaluation,
-    demo_card: dict[str, Any] | None,
-) -> None:
-    card = {
-        "config": OmegaConf.to_container(cfg, resolve=True),
-        "evaluation": {"preferences": result.names, **result.columns},
-        "score": result.score,
-    }
-    if demo_card is not None:
-        card["demonstrator"] = demo_card["demonstrator"]
-    save_policy(
-        folder,
-        actor,
-        space=space,
-        observation_size=OBSERVATION_SIZE,
-        action_size=2,
-        num_cells=tuple(cfg.network.num_cells),
-        card=card,
-    )
-
-
-def finish(run_dir: Path, cfg: DictConfig) -> None:
-    """Point to the results."""
-    policies = sorted((run_dir / "policies").glob("*"))
-
-    def score(folder: Path) -> float:
-        return json.loads((folder / "policy.json").read_text())["card"]["score"]
-
-    if policies:
-        best = max(policies, key=score)
-        print(f"best policy: {best} (score {score(best):.2f}); last policy: {policies[-1]}")
