@@ -16,21 +16,20 @@ import torch
 from torchrl.envs import SerialEnv
 from torchrl.envs.utils import check_env_specs, step_mdp
 
-from benchmarks.environment import (
-    MAX_EPISODE_STEPS,
-    MAX_RANGE,
+from benchmarks.environment import Case, main, plan, speed_up
+from benchmarks.environment_variants import (
     OURS,
     VARIANTS,
-    Case,
-    MujocoNavigationEnv,
-    RangefinderNavigationEnv,
     TorchRLLoop,
     first_elapsed,
-    main,
     mujoco_envs,
     navigation_loop,
-    plan,
-    speed_up,
+)
+from benchmarks.peers_environment import (
+    MAX_EPISODE_STEPS,
+    MAX_RANGE,
+    MujocoNavigationEnv,
+    RangefinderNavigationEnv,
 )
 from envs import NavigationEnv
 
