@@ -1,7 +1,8 @@
 """Simulation: batched MuJoCo environments, the navigation task, its scenes and robots."""
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
-from .navigation import NavigationEnv, Perturbation
+from .navigation import NavigationEnv
+from .perturbation import Perturbation
 from .rendering import Camera
 from .robots import HSR, ROBOTS, TURTLEBOT2, Robot, get_robot
 from .scenes import (

@@ -15,6 +15,10 @@ HUMAN_HEIGHT = 1.7
 BOX_HEIGHT = 0.6
 LIDAR_HEIGHT = 0.25
 
+# What the wheels' motors can do, m/s^2: a third of the weight rests on the driven wheels, which spin
+# when asked for more.
+_WHEEL_ACCELERATION = 3.0
+
 Drive = Literal["planar", "wheels"]
 
 _PLANAR = """
@@ -45,19 +49,19 @@ _WHEELS = """
       <geom name="caster_back" class="caster" pos="-{caster} 0 {caster_radius}"
             size="{caster_radius}"/>
       <body name="left_wheel" pos="0 {half_track} {wheel_radius}">
-        <joint name="left_wheel" type="hinge" axis="0 1 0"/>
+        <joint name="left_wheel" type="hinge" axis="0 1 0" armature="{armature}"/>
         <geom class="wheel" size="{wheel_radius}"/>
       </body>
       <body name="right_wheel" pos="0 -{half_track} {wheel_radius}">
-        <joint name="right_wheel" type="hinge" axis="0 1 0"/>
+        <joint name="right_wheel" type="hinge" axis="0 1 0" armature="{armature}"/>
         <geom class="wheel" size="{wheel_radius}"/>
       </body>
       {decoration}
     </body>"""
 
 _WHEELS_ACTUATORS = """
-    <velocity name="left" joint="left_wheel" kv="{kv_wheel}"/>
-    <velocity name="right" joint="right_wheel" kv="{kv_wheel}"/>"""
+    <velocity name="left" joint="left_wheel" kv="{kv_wheel}" forcerange="-{torque} {torque}"/>
+    <velocity name="right" joint="right_wheel" kv="{kv_wheel}" forcerange="-{torque} {torque}"/>"""
 
 _WORLD = """
 <mujoco model="navigation">
@@ -148,6 +152,9 @@ def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: 
         ValueError: for an unknown drive.
     """
     half_height = robot.height / 2
+    # A wheel carries half the mass at its rim. The motor's rotor, behind its gears, is as much again:
+    # a wheel without it is so light that it turns before the base moves.
+    load = rotor = 0.5 * robot.mass * robot.wheel_radius**2
     inertia = 0.5 * robot.mass * robot.radius**2
     caster_radius = 0.6 * robot.wheel_radius
     ground_clearance = 0.5 * robot.wheel_radius
@@ -165,8 +172,9 @@ def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: 
         "kv_turn": inertia / robot.angular_response,
         # No slip: the velocity follows the heading, one time step late in a turn.
         "kv_lateral": 800.0 * robot.mass,
-        # A wheel carries half the mass at its rim.
-        "kv_wheel": 0.5 * robot.mass * robot.wheel_radius**2 / robot.linear_response,
+        "armature": rotor,
+        "kv_wheel": (load + rotor) / robot.linear_response,
+        "torque": (load + rotor) * _WHEEL_ACCELERATION / robot.wheel_radius,
     }
     base_height = half_height if drive == "planar" else 0.0
     top = robot.height - base_height + (0.0 if drive == "planar" else ground_clearance)

@@ -6,23 +6,24 @@ Task of de Heuvel et al., "Demonstration-Enhanced Adaptable Multi-Objective Robo
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Any, ClassVar
 
 import mujoco
-import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
-from .geometry import wrap_angle
-from .mjcf import LIDAR_HEIGHT, Drive, navigation_mjcf, time_step
+from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl, yaw_quaternion
+from .lidar import Lidar
+from .mjcf import Drive, navigation_mjcf, time_step
+from .perturbation import Perturbation
 from .rendering import Camera
 from .robots import Robot, get_robot
 from .scenes import HUMAN_RADIUS, Scene, get_scene
+from .views import chase_view, top_view
 
 GOAL_REWARD = 125.0
 COLLISION_REWARD = -1000.0
@@ -30,40 +31,6 @@ STYLE_PENALTY = -10.0
 DISTANCE_THRESHOLD = 2.0
 DISTANCE_MINIMUM = 0.3
 SCENE_BLOCK = 64
-
-# Pictures from above: what surrounds the scene, and how large a box is a wall, metres.
-_MARGIN = 0.6
-_WALL = 2.0
-
-_LIDAR_GROUPS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
-
-
-@dataclasses.dataclass(frozen=True)
-class Perturbation:
-    """Sensor and actuation faults, for robust training and transfer checks; all off by default.
-
-    Args:
-        range_noise: standard deviation of each lidar range, metres.
-        dropout: probability that a lidar ray reports no return.
-        velocity_noise: standard deviation of the executed velocities, as a share of their range.
-        latency: control steps (0 or 1) between a command and its execution.
-
-    Raises:
-        ValueError: for values outside these ranges.
-    """
-
-    range_noise: float = 0.0
-    dropout: float = 0.0
-    velocity_noise: float = 0.0
-    latency: int = 0
-
-    def __post_init__(self) -> None:
-        if not (self.range_noise >= 0 and self.velocity_noise >= 0):
-            raise ValueError(f"Noise must not be negative, got {self}.")
-        if not 0 <= self.dropout <= 1:
-            raise ValueError(f"dropout is a probability in [0, 1], got {self.dropout}.")
-        if self.latency not in (0, 1):
-            raise ValueError(f"latency must be 0 or 1 control steps, got {self.latency}.")
 
 
 class NavigationEnv(BatchedMujocoEnv):
@@ -177,23 +144,22 @@ class NavigationEnv(BatchedMujocoEnv):
         boxes = [f"box{i}" for i in range(self.scene.num_boxes)]
         self._mocap_boxes = [int(model.body(name).mocapid[0]) for name in boxes]
         self._box_geoms = [model.geom(name).id for name in boxes]
-        angles = 2 * math.pi * torch.arange(self.num_rays, dtype=torch.float64) / self.num_rays
-        in_view = wrap_angle(angles).abs() <= self.robot.lidar_fov / 2 + 1e-9
-        self._ray_ids = in_view.nonzero().squeeze(-1)
-        angles = angles[self._ray_ids]
-        self._rays = torch.stack((angles.cos(), angles.sin()), dim=-1).numpy()
         return model
 
     def _open_batch(self) -> None:
         super()._open_batch()
         self._box_sizes = self.batch.expand("geom_size") if self._box_geoms else None
-        # As large as the native call wants them, which copies anything smaller.
-        self._ray_origin = np.full((self.num_envs, len(self._rays), 3), LIDAR_HEIGHT)
-        self._ray_direction = np.zeros_like(self._ray_origin)
+        self._lidar = Lidar(
+            self.batch,
+            self.robot,
+            body=self._robot_body,
+            num_rays=self.num_rays,
+            max_range=self.max_range,
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         state = super().__getstate__()
-        for name in ("_box_sizes", "_ray_origin", "_ray_direction"):
+        for name in ("_box_sizes", "_lidar"):
             state.pop(name)
         return state
 
@@ -267,14 +233,8 @@ class NavigationEnv(BatchedMujocoEnv):
         self._human_goal[ids] = sampled["human_goal"]
         self._boxes[ids] = sampled["boxes"]
         self._pending[ids] = 0.0
-        start = sampled["start"]
-        qvel = torch.zeros(ids.numel(), self.model.nv, dtype=torch.float64)
-        if self.drive == "planar":
-            return start, qvel
-        qpos = torch.zeros(ids.numel(), self.model.nq, dtype=torch.float64)
-        qpos[:, :2] = start[:, :2]
-        qpos[:, 3:7] = _yaw_quaternion(start[:, 2])
-        return qpos, qvel
+        qpos = pose_to_qpos(sampled["start"], self.drive, self.model.nq)
+        return qpos, torch.zeros(ids.numel(), self.model.nv, dtype=torch.float64)
 
     def _next_scenes(self, n: int) -> TensorDictBase:
         """The next ``n`` scenes of the stream that the seed fixes.
@@ -314,7 +274,7 @@ class NavigationEnv(BatchedMujocoEnv):
         cos, sin = yaw.cos(), yaw.sin()
         torch.stack((cos, sin, -sin, cos), dim=-1, out=self._box_axes.flatten(-2))
         self._view["mocap_pos"][:, self._mocap_boxes, :2] = self._boxes[..., :2]
-        self._view["mocap_quat"][:, self._mocap_boxes] = _yaw_quaternion(yaw)
+        self._view["mocap_quat"][:, self._mocap_boxes] = yaw_quaternion(yaw)
         # Bounding volumes follow the new sizes only through set_const.
         rows = ids.numpy()
         self._box_sizes[rows[:, None], self._box_geoms, :2] = self._boxes[ids, :, 3:].numpy()
@@ -323,7 +283,7 @@ class NavigationEnv(BatchedMujocoEnv):
     def _place_human(self) -> None:
         x_y, yaw = self._human_pose[:, :2], self._human_pose[:, 2]
         self._view["mocap_pos"][:, self._mocap_human, :2] = x_y
-        self._view["mocap_quat"][:, self._mocap_human] = _yaw_quaternion(yaw)
+        self._view["mocap_quat"][:, self._mocap_human] = yaw_quaternion(yaw)
 
     # --- step ----------------------------------------------------------------------------------
 
@@ -332,17 +292,8 @@ class NavigationEnv(BatchedMujocoEnv):
         if self.perturbation.latency:
             action, self._pending = self._pending, action.clone()
         low, high = self._action_low, self._action_high
-        if self.perturbation.velocity_noise:
-            noise = torch.randn(action.shape, generator=self._fault_rng, dtype=torch.float64)
-            action = action + self.perturbation.velocity_noise * (high - low) * noise
-        action = action.clamp(low, high)
-        if self.drive == "planar":
-            # The third servo keeps the base from slipping sideways.
-            return torch.nn.functional.pad(action, (0, 1))
-        speed, turn = action.unbind(-1)
-        half = self.robot.wheel_separation / 2
-        wheels = torch.stack((speed - half * turn, speed + half * turn), dim=-1)
-        return wheels / self.robot.wheel_radius
+        action = self.perturbation.disturb_velocity(action, low, high, self._fault_rng)
+        return velocity_to_ctrl(action.clamp(low, high), self.drive, self.robot)
 
     def _before_physics(self) -> None:
         if not self.scene.human_speed:
@@ -353,15 +304,6 @@ class NavigationEnv(BatchedMujocoEnv):
         step = torch.minimum(left, torch.full_like(left, self.scene.human_speed * 0.2))
         human[:, :2] += torch.where(left > 0, way / left.clamp_min(1e-9) * step, 0.0)
         self._place_human()
-
-    def _pose(self, qpos: Tensor) -> Tensor:
-        """Pose (x, y, heading in (-pi, pi]) of every robot in ``qpos`` [n, nq]."""
-        if self.drive == "planar":
-            yaw = qpos[:, 2]
-        else:
-            w, x, y, z = qpos[:, 3:7].unbind(-1)
-            yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-        return torch.cat((qpos[:, :2], wrap_angle(yaw)[:, None]), dim=-1)
 
     def _locate(self) -> None:
         """Where goal and human are, for the ends of episodes, rewards and observations alike."""
@@ -401,14 +343,16 @@ class NavigationEnv(BatchedMujocoEnv):
 
     def _make_obs(self, ids: Tensor | None = None) -> dict[str, Tensor | TensorDictBase]:
         rows = slice(None) if ids is None else ids
-        pose = self._pose(self._view["qpos"][rows])
+        pose = qpos_to_pose(self._view["qpos"][rows], self.drive)
         cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
         x, y = self._way[:, rows].unbind(-1)
         bearing = torch.atan2(cos * y - sin * x, cos * x + sin * y)
         goal, human = torch.stack((self._distance[:, rows], bearing), dim=-1).to(self.dtype)
         flags = self._flags[rows].clone()
+        ranges = self._lidar.cast(pose[:, :2], cos, sin, ids)
+        ranges = self.perturbation.disturb_ranges(ranges, self.max_range, self._fault_rng)
         out = {
-            "scan": self._scan(pose, cos, sin, ids).to(self.dtype),
+            "scan": self._lidar.scan(ranges).to(self.dtype),
             "goal": goal,
             "human": human,
             "success": flags[:, 0:1],
@@ -427,80 +371,17 @@ class NavigationEnv(BatchedMujocoEnv):
             out["pending_action"] = self._pending[rows].clone()
         return out
 
-    def _scan(self, pose: Tensor, cos: Tensor, sin: Tensor, ids: Tensor | None) -> Tensor:
-        """Lidar ranges ``[n, num_rays]``: one native call casts the rays of all environments."""
-        n = len(pose)
-        x, y = pose[:, 0:1].numpy(), pose[:, 1:2].numpy()
-        cos, sin = cos.numpy(), sin.numpy()
-        # Rotated from the robot's frame: cheaper than a sine and a cosine for every ray.
-        turn = np.zeros((n, 2, 3))
-        turn[:, 0, 0] = turn[:, 1, 1] = cos
-        turn[:, 0, 1] = sin
-        turn[:, 1, 0] = -sin
-        direction = np.matmul(self._rays, turn, out=self._ray_direction[:n])
-        origin = self._ray_origin[:n]
-        origin[..., 0] = x + self.robot.lidar_offset * cos[:, None]
-        origin[..., 1] = y + self.robot.lidar_offset * sin[:, None]
-        distance, _ = self.batch.ray(
-            origin,
-            direction,
-            geomgroup=_LIDAR_GROUPS,
-            bodyexclude=self._robot_body,
-            ids=None if ids is None else ids.numpy(),
-        )
-        np.copyto(distance, self.max_range, where=distance < 0)
-        hit = torch.from_numpy(distance)
-        fault = self.perturbation
-        if fault.range_noise:
-            noise = torch.randn(hit.shape, generator=self._fault_rng, dtype=hit.dtype)
-            hit = hit + torch.where(hit < self.max_range, fault.range_noise * noise, 0.0)
-        if fault.dropout:
-            lost = torch.rand(hit.shape, generator=self._fault_rng, dtype=hit.dtype) < fault.dropout
-            hit = hit.masked_fill(lost, self.max_range)
-        # Zero would mean "no reading" to many drivers: the nearest range is a millimetre.
-        hit = hit.clamp_(1e-3, self.max_range)
-        if len(self._ray_ids) == self.num_rays:
-            return hit
-        scan = torch.full((n, self.num_rays), self.max_range, dtype=torch.float64)
-        scan[:, self._ray_ids] = hit
-        return scan
-
-    # --- rendering -----------------------------------------------------------------------------
-
-    def _scene_extent(self, index: int) -> Tensor:
-        """Lower and upper corner ``[2, 2]`` of what a picture from above should contain."""
-        boxes = self._boxes[index]
-        points = torch.stack((*self._began[index], self._goal[index], self._human_goal[index]))
-        radius = boxes[:, 3:].norm(dim=-1, keepdim=True)
-        # Walls reach far beyond the way: they may be cut.
-        radius = radius.masked_fill(radius > _WALL, -math.inf)
-        low = torch.cat((points, boxes[:, :2] - radius)).amin(0)
-        high = torch.cat((points, boxes[:, :2] + radius)).amax(0)
-        return torch.stack((low - _MARGIN, high + _MARGIN))
-
     def _camera(self, camera: str | Camera, index: int, aspect: float) -> Camera | str:
         if camera not in ("top", "chase"):
             return super()._camera(camera, index, aspect)
-        x, y, yaw = self._pose(self._view["qpos"][index : index + 1])[0].tolist()
+        pose = qpos_to_pose(self._view["qpos"][index : index + 1], self.drive)[0]
         if camera == "chase":
-            ahead, height = 1.5, 0.5 * self.robot.height + 0.3
-            lookat = (x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), height)
-            distance = 3.6 + self.robot.height
-            return Camera(lookat, math.degrees(yaw), -24.0, distance)
-        (left, bottom), (right, top) = self._scene_extent(index).tolist()
-        # Fixed during an episode, unless the robot leaves.
-        left, right = min(left, x - _MARGIN), max(right, x + _MARGIN)
-        bottom, top = min(bottom, y - _MARGIN), max(top, y + _MARGIN)
-        centre = ((left + right) / 2, (bottom + top) / 2, 0.0)
-        return Camera(centre, height=max(top - bottom, (right - left) / aspect))
+            return chase_view(pose, self.robot)
+        points = torch.stack((*self._began[index], self._goal[index], self._human_goal[index]))
+        return top_view(points, self._boxes[index], pose[:2], aspect)
 
     def _set_seed(self, seed: int | None) -> None:
         super()._set_seed(seed)
         if seed is not None:
             self._scenes: TensorDictBase | None = None
             self._fault_rng.manual_seed(seed + 1)
-
-
-def _yaw_quaternion(yaw: Tensor) -> Tensor:
-    zero = torch.zeros_like(yaw)
-    return torch.stack(((yaw / 2).cos(), zero, zero, (yaw / 2).sin()), dim=-1)

@@ -417,7 +417,7 @@ def test_rolling_wheels_drive_like_the_planar_base(robot, action):
     moved = []
     for drive in ("planar", "wheels"):
         env = make_env(scene="empty", drive=drive, robot=robot, num_rays=1)
-        # Three seconds to get going: wheels spin and the body pitches.
+        # Three seconds to get going: wheels follow a turn later than the planar base.
         pose = _drive(env, env.reset(), action, 30)["pose"][0, 15:]
         forward = torch.stack((pose[0, 2].cos(), pose[0, 2].sin()))
         left = torch.stack((-forward[1], forward[0]))
@@ -428,6 +428,38 @@ def test_rolling_wheels_drive_like_the_planar_base(robot, action):
     path, angle = 14 * 0.2 * action[0], 14 * 0.2 * abs(action[1])
     assert (moved[0] - moved[1])[:2].norm() < 0.02 * path + 0.005
     assert (moved[0] - moved[1])[2].abs() < 0.02 * angle + 0.005
+
+
+@pytest.mark.parametrize("robot", [TURTLEBOT2, HSR], ids=lambda robot: robot.name)
+def test_wheels_grip_when_they_start_and_stop(robot):
+    env = make_env(scene="empty", drive="wheels", robot=robot, num_rays=1)
+    heading = env.reset()["pose"][0, 2]
+    forward = np.array([math.cos(heading), math.sin(heading)])
+    wheel = env.model.joint("left_wheel").dofadr[0]
+    velocity, ctrl = env.batch.bind("qvel"), env.batch.bind("ctrl")
+    speeds = []
+    for command in (0.5, 0.0):
+        ctrl[:] = command / robot.wheel_radius
+        for _ in range(300):
+            env.batch.step(nstep=1)
+            speeds.append((velocity[0, :2] @ forward, velocity[0, wheel] * robot.wheel_radius))
+    base, rim = np.array(speeds).T
+    # It takes two time steps until the wheels press on the floor.
+    assert np.abs(rim - base)[2:].max() < 0.02
+    assert base[:300].max() < 0.505 and base[300:].min() > -0.005  # no overshoot
+    assert base[299] == pytest.approx(0.5, abs=0.002) and abs(base[-1]) < 0.002
+
+
+def test_wheels_start_hardly_later_than_the_planar_base():
+    for robot in ("turtlebot2", "hsr"):
+        distance = []
+        for drive in ("planar", "wheels"):
+            env = make_env(scene="empty", drive=drive, robot=robot, num_rays=1)
+            start = env.reset()
+            pose = _drive(env, start.clone(), (0.5, 0.0), 5)["pose"][0, -1]
+            distance.append(float((pose - start["pose"][0])[:2].norm()))
+        # To 0.5 m/s at 3 m/s^2, what friction transmits: half of 0.5 m/s for a sixth of a second.
+        assert 0 < distance[0] - distance[1] < 0.042, robot
 
 
 def test_the_human_walks_half_a_metre_a_second_and_stops():

@@ -1,0 +1,43 @@
+"""Where the cameras of the navigation task stand: from above, and behind the robot."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from .rendering import Camera
+from .robots import Robot
+
+# What surrounds the scene in a picture from above, and how large a box is a wall, metres.
+_MARGIN = 0.6
+_WALL = 2.0
+
+
+def top_view(points: Tensor, boxes: Tensor, robot: Tensor, aspect: float) -> Camera:
+    """From above, the whole scene: fixed during an episode, unless the robot leaves it.
+
+    Args:
+        points: what the picture should contain, ``[P, 2]``, metres.
+        boxes: ``[N, 5]`` (x, y, yaw, half length, half width). Walls, which reach far beyond the
+            way, may be cut.
+        robot: where the robot is now, ``[2]``.
+        aspect: width of the picture over its height.
+    """
+    radius = boxes[:, 3:].norm(dim=-1, keepdim=True)
+    radius = radius.masked_fill(radius > _WALL, -math.inf)
+    low = torch.cat((points, boxes[:, :2] - radius)).amin(0)
+    high = torch.cat((points, boxes[:, :2] + radius)).amax(0)
+    left, bottom = (torch.minimum(low, robot) - _MARGIN).tolist()
+    right, top = (torch.maximum(high, robot) + _MARGIN).tolist()
+    centre = ((left + right) / 2, (bottom + top) / 2, 0.0)
+    return Camera(centre, height=max(top - bottom, (right - left) / aspect))
+
+
+def chase_view(pose: Tensor, robot: Robot) -> Camera:
+    """From behind and above a robot at ``pose`` [3] (x, y in metres, heading in radians)."""
+    x, y, yaw = pose.tolist()
+    ahead, height = 1.5, 0.5 * robot.height + 0.3
+    lookat = (x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), height)
+    return Camera(lookat, math.degrees(yaw), -24.0, 3.6 + robot.height)
