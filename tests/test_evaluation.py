@@ -102,6 +102,7 @@ def test_undefined_is_nan():
     assert path_length(path, mask).isnan()
     assert min_human_distance(path, path, mask).isnan()
     assert time_to_goal(torch.tensor(False), whole(path), dt=0.2).isnan()
+    assert time_to_goal(torch.tensor(True), mask, dt=0.2).isnan()
 
 
 def test_any_batch_shape():

@@ -1,49 +1,35 @@
-"""Metrics of padded trajectories: pure functions, no simulator.
+"""Metrics of the way to the goal: pure functions of padded trajectories, no simulator.
 
-A trajectory has ``T`` points including its start; ``mask`` marks those before and at its end.
-Undefined is NaN. Definitions follow Francis et al. (https://arxiv.org/abs/2306.16740).
+A trajectory has ``T`` points including its start; ``mask`` marks those before and at its end, and
+what lies behind it may be anything, NaN included. NaN before it makes the result NaN, and so does
+whatever leaves a value undefined. Definitions follow Francis et al.
+(https://arxiv.org/abs/2306.16740); ``docs/metrics.md`` lists them all.
 """
 
 from __future__ import annotations
 
-import numpy as np
-import scipy.stats
 import torch
 from torch import Tensor
 
-__all__ = [
-    "min_human_distance",
-    "path_length",
-    "steerability",
-    "time_to_goal",
-]
-
-
-def min_human_distance(position: Tensor, human: Tensor, mask: Tensor) -> Tensor:
-    """Smallest distance between the centres of robot and human, metres.
-
-    Args:
-        position: ``[*B, T, 2]``.
-        human: ``[*B, T, 2]``.
-        mask: ``[*B, T]``.
-
-    Returns:
-        ``[*B]``.
-
-    Examples:
-        >>> import torch
-        >>> position = torch.tensor([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
-        >>> human = torch.tensor([[2.0, 1.0]]).expand(3, 2)
-        >>> min_human_distance(position, human, torch.tensor([True, True, False]))
-        tensor(1.4142)
-    """
-    distance = (position - human).norm(dim=-1)
-    nearest = distance.masked_fill(~mask, torch.inf).amin(-1)
-    return nearest.masked_fill(~mask.any(-1), torch.nan)
+__all__ = ["path_length", "spl", "stl", "time_to_goal"]
 
 
 def path_length(position: Tensor, mask: Tensor) -> Tensor:
-    """Length of the path through the points, metres: ``[*B, T, 2]``, ``[*B, T]`` -> ``[*B]``."""
+    r"""Length of the path through the points, :math:`\sum_t |p_{t+1} - p_t|`, metres.
+
+    Args:
+        position: ``[*B, T, 2]``, metres.
+        mask: ``[*B, T]``.
+
+    Returns:
+        ``[*B]``; NaN for a path without points.
+
+    Examples:
+        >>> import torch
+        >>> position = torch.tensor([[0.0, 0.0], [3.0, 4.0], [3.0, 5.0]])
+        >>> path_length(position, torch.tensor([True, True, True]))
+        tensor(6.)
+    """
     step = (position[..., 1:, :] - position[..., :-1, :]).norm(dim=-1)
     length = step.masked_fill(~mask[..., 1:], 0.0).sum(-1)  # padding may be NaN
     return length.masked_fill(~mask.any(-1), torch.nan)
@@ -59,29 +45,85 @@ def time_to_goal(success: Tensor, mask: Tensor, dt: float) -> Tensor:
 
     Returns:
         ``[*B]``.
-    """
-    time = (mask.sum(-1) - 1) * dt
-    return time.masked_fill(~success, torch.nan)
-
-
-def steerability(preference: Tensor, metric: Tensor) -> float:
-    """Spearman rank correlation between the entry of a preference and the metric it steers.
-
-    Args:
-        preference: ``[P]``, values of one entry.
-        metric: ``[P]``, the metric's mean at each of them.
-
-    Returns:
-        Rho in [-1, 1]; NaN if either is constant or holds NaN.
 
     Examples:
         >>> import torch
-        >>> round(steerability(torch.tensor([0.0, 0.5, 1.0]), torch.tensor([0.4, 0.9, 1.3])), 3)
-        1.0
+        >>> success = torch.tensor([True, False])
+        >>> mask = torch.tensor([[True, True, True, False], [True, True, True, True]])
+        >>> time_to_goal(success, mask, dt=0.5)
+        tensor([1., nan])
     """
-    first, second = np.asarray(preference, dtype=float), np.asarray(metric, dtype=float)
-    if np.isnan(first).any() or np.isnan(second).any():
-        return float("nan")
-    if np.ptp(first) == 0 or np.ptp(second) == 0:
-        return float("nan")
-    return float(scipy.stats.spearmanr(first, second).statistic)
+    time = (mask.sum(-1) - 1) * dt
+    return time.masked_fill(~(success & mask.any(-1)), torch.nan)
+
+
+def spl(success: Tensor, position: Tensor, mask: Tensor, shortest: Tensor) -> Tensor:
+    r"""Success weighted by path length, from 0 to 1.
+
+    :math:`S \, \ell^* / \max(\ell, \ell^*)` with the length :math:`\ell` of the path (Anderson et
+    al., https://arxiv.org/abs/1807.06757). A failure counts as 0. It favours waiting over going
+    around: give :func:`stl` beside it.
+
+    Args:
+        success: ``[*B]``.
+        position: ``[*B, T, 2]``, metres.
+        mask: ``[*B, T]``.
+        shortest: ``[*B]``, metres: the shortest way from the start to where the goal counts as
+            reached, its radius taken off, that touches no obstacle. The straight line is one only
+            where nothing stands on it. NaN where there is none.
+
+    Returns:
+        ``[*B]``; NaN where ``shortest`` is, for failures too: leaving out successes alone would
+        bias the mean.
+
+    Raises:
+        ValueError: if ``shortest`` is negative.
+
+    Examples:
+        >>> import torch
+        >>> corner = torch.tensor([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]])
+        >>> spl(torch.tensor(True), corner, torch.ones(3).bool(), shortest=torch.tensor(5.0))
+        tensor(0.7143)
+    """
+    return _weighted(success, path_length(position, mask), shortest, "shortest")
+
+
+def stl(success: Tensor, mask: Tensor, dt: float, reference: Tensor) -> Tensor:
+    r"""Success weighted by time length, from 0 to 1.
+
+    :math:`S \, T^* / \max(T, T^*)` with the time :math:`T` from the start to the end, as in the
+    iGibson challenge 2021 (http://svl.stanford.edu/igibson/challenge2021.html), whose reference
+    is an ORCA agent in the same scene. A failure counts as 0.
+
+    Args:
+        success: ``[*B]``.
+        mask: ``[*B, T]``.
+        dt: control period, seconds.
+        reference: ``[*B]``, seconds: how long the reference took, for instance the shortest way
+            at full speed. NaN where it failed, which says nothing about the robot.
+
+    Returns:
+        ``[*B]``; NaN where ``reference`` is, for failures too.
+
+    Raises:
+        ValueError: if ``reference`` is negative.
+
+    Examples:
+        >>> import torch
+        >>> mask = torch.ones(2, 11, dtype=torch.bool)
+        >>> stl(torch.tensor([True, False]), mask, dt=0.5, reference=torch.tensor([4.0, 4.0]))
+        tensor([0.8000, 0.0000])
+    """
+    time = (mask.sum(-1) - 1) * dt
+    return _weighted(success, time.masked_fill(~mask.any(-1), torch.nan), reference, "reference")
+
+
+def _weighted(success: Tensor, actual: Tensor, best: Tensor, name: str) -> Tensor:
+    negative = best[best < 0]
+    if negative.numel():
+        raise ValueError(
+            f"{name} must not be negative, got {negative[0].item()}: clamp it at 0 for an episode "
+            "that starts in its goal."
+        )
+    ratio = (best / torch.maximum(actual, best)).masked_fill(~success, 0.0)
+    return ratio.masked_fill(actual.isnan() | best.isnan(), torch.nan)
