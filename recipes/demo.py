@@ -7,6 +7,7 @@ random ones, prints a table and writes pictures and a film to ``runs/demo``.
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 import torch
@@ -89,10 +90,14 @@ def main() -> None:
         switch_step=change.switch_step,
         goal_radius=GOAL_RADIUS,
     )
-    print(
-        f"\nPreference changed after {change.switch_step * 0.2:.1f} s: one second later the robot "
-        f"heads {change.turned:.0f} degrees elsewhere, {change.separation:.2f} m off the old path"
-    )
+    changed = f"\nPreference changed after {change.switch_step * 0.2:.1f} s: "
+    if math.isnan(change.separation):
+        print(changed + "an episode ended less than one second later, nothing to compare")
+    else:
+        print(
+            f"{changed}one second later the robot heads {change.turned:.0f} degrees elsewhere, "
+            f"{change.separation:.2f} m off the old path"
+        )
     movie = film(args.output / "sweep.gif", actor, space, space.corners())
     print(f"Pictures: {figure}, {switched}; film: {movie}")
 

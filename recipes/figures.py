@@ -140,8 +140,9 @@ def switch_figure(
         ax.plot(*position.T, color=color, linestyle=style, linewidth=2, label=name)
         length = len(position) - 1
         turn.plot(time[:length], actions[index, :length, 1], color=color, linestyle=style)
-    where = np.asarray(paths["position"][-1, switch_step])
-    ax.plot(*where, "X", markersize=11, color="#cc79a7", label="preference changes", zorder=6)
+    if switch_step < int(paths["mask"][-1].sum()):  # not if its episode had ended
+        where = np.asarray(paths["position"][-1, switch_step])
+        ax.plot(*where, "X", markersize=11, color="#cc79a7", label="preference changes", zorder=6)
     ax.legend(loc="lower left", fontsize=9)
     turn.set_ylabel("commanded turn rate / rad/s")
     same = paths["mask"][-1] & paths["mask"][0]

@@ -32,17 +32,24 @@ class Switch:
 
     @property
     def separation(self) -> float:
-        """Distance from where the robot would have been, one second after the change, metres."""
-        step = self.switch_step + round(1.0 / NavigationEnv.CONTROL_PERIOD)
-        position = self.paths["position"][:, step]
-        return (position[2] - position[0]).norm().item()
+        """Distance from where the robot would have been, one second after the change, metres.
+
+        NaN if a run of the two ends before that.
+        """
+        return self._second_after("position").norm().item()
 
     @property
     def turned(self) -> float:
-        """By how much its heading differs then from what it would have been, degrees."""
+        """By how much its heading differs then from what it would have been, degrees; or NaN."""
+        return wrap_angle(self._second_after("heading")).abs().rad2deg().item()
+
+    def _second_after(self, key: str) -> Tensor:
+        """What differs one second after the change, from the run without it."""
         step = self.switch_step + round(1.0 / NavigationEnv.CONTROL_PERIOD)
-        heading = self.paths["heading"][:, step]
-        return wrap_angle(heading[2] - heading[0]).abs().rad2deg().item()
+        values, mask = self.paths[key], self.paths["mask"]
+        if step >= mask.shape[1] or not mask[[0, 2], step].all():
+            return torch.full_like(values[0, 0], torch.nan)
+        return values[2, step] - values[0, step]
 
 
 @torch.no_grad()

@@ -63,7 +63,13 @@ def run(name: str, command: list[str]) -> float:
 
 def final_policy(run_dir: Path) -> Path:
     """The policy with the best score among those saved in the last fifth of the training."""
-    policies = sorted((run_dir / "policies").iterdir())
+    policies = sorted((run_dir / "policies").glob("*"))
+    if not policies:
+        sys.exit(
+            f"{run_dir / 'policies'} holds no policy: the training ended before its first update. "
+            "It must last longer than collector.init_random_frames steps: raise "
+            "--pd-morl collector.total_frames=..."
+        )
     late = policies[-max(1, len(policies) // 5) :]
 
     def score(folder: Path) -> float:

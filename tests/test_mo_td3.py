@@ -733,7 +733,7 @@ def test_learns_to_follow_the_preference():
         ({"interpolator": PreferenceInterpolator(torch.eye(3))}, "3 tunable objectives"),
         ({"angle_coeff_actor": -1.0}, "angle_coeff_actor must not be negative"),
         ({"pre_tanh_coeff": -1.0}, "pre_tanh_coeff must not be negative"),
-        ({"target_selection": "mean"}, "target_selection must be one of"),
+        ({"target_selection": "median"}, "target_selection must be one of"),
         ({"action_spec": None}, "bounds"),
     ],
 )

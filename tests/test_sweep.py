@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 import imageio.v2 as imageio
 import pytest
 import torch
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torchrl.data import Bounded
 
@@ -23,7 +25,7 @@ from envs.rendering import gl_context_type
 from recipes.figures import Row, sweep_figure, switch_figure
 from recipes.film import film
 from recipes.sweep import edge, sweep
-from recipes.switch import switch
+from recipes.switch import Switch, switch
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.modules import make_actor
@@ -209,6 +211,43 @@ def test_change_between_equal_preferences_changes_nothing():
     assert change.separation == 0.0
 
 
+def test_change_without_a_second_to_look_back_on_has_no_separation():
+    preferences = torch.tensor([[0.0, 1.0], [1.0, 0.0]])
+
+    def drive(steps):
+        return switch(BEND, SPACE, preferences, switch_step=12, max_episode_steps=steps)
+
+    # One second after the change is 5 steps of 0.2 s later, at the end of the 17th.
+    assert drive(17).separation == drive(18).separation > 0.05
+    assert drive(17).turned > 0
+    for too_short in (16, 12, 3):  # the last one ends before the change
+        change = drive(too_short)
+        assert math.isnan(change.separation) and math.isnan(change.turned)
+
+
+def test_only_the_two_compared_runs_must_last_for_that_second():
+    path = torch.arange(8.0).repeat(3, 1)
+    change = Switch(
+        paths=TensorDict(
+            position=torch.stack((path, path * torch.tensor([[0.0], [0.0], [2.0]])), dim=-1),
+            heading=path * torch.tensor([[0.0], [0.0], [math.radians(10)]]),
+            mask=torch.ones(3, 8, dtype=torch.bool),
+            batch_size=[3],
+        ),
+        actions=torch.zeros(3, 7, 2),
+        switch_step=1,
+    )
+    assert change.separation == 12.0  # after six steps: one second after the first of them
+    assert change.turned == pytest.approx(60.0)
+    change.paths["mask"][1, 2:] = False  # the run under the second preference
+    assert change.separation == 12.0
+    for row in (0, 2):
+        mask = change.paths["mask"].clone()
+        mask[row, 6:] = False  # what follows the end of an episode means nothing
+        ended = dataclasses.replace(change, paths=change.paths.clone().set("mask", mask))
+        assert math.isnan(ended.separation) and math.isnan(ended.turned)
+
+
 # --- pictures
 
 
@@ -282,9 +321,10 @@ def test_figures_of_a_policy_that_never_arrives(tmp_path):
     assert "nan s (0)" in results[1].table()
 
 
-def test_switch_figure(tmp_path):
+@pytest.mark.parametrize("steps", [300, 5], ids=["", "ended_before_the_change"])
+def test_switch_figure(steps, tmp_path):
     preferences = edge(SPACE, "efficiency", "distance", 2)
-    change = switch(BEND, SPACE, preferences)
+    change = switch(BEND, SPACE, preferences, max_episode_steps=steps)
     scene = sweep(
         BEND, SPACE, preferences, episodes=1, seed=0, scene="showcase", max_episode_steps=5
     ).scenes[0]
@@ -390,6 +430,17 @@ def save_scores(folder: Path, scores: list[float]) -> None:
 def test_final_policy_is_the_best_of_the_last_fifth(scores, best, tmp_path):
     save_scores(tmp_path, scores)
     assert recipes.train.final_policy(tmp_path).name == f"{best * 1000:09d}"
+
+
+@pytest.mark.parametrize("folder_exists", [False, True])
+def test_training_that_saved_no_policy_is_named(folder_exists, tmp_path):
+    if folder_exists:
+        (tmp_path / "policies").mkdir()
+    with pytest.raises(SystemExit) as stop:
+        recipes.train.final_policy(tmp_path)
+    message = str(stop.value)
+    assert f"{tmp_path / 'policies'} holds no policy" in message
+    assert "--pd-morl collector.total_frames=" in message
 
 
 def test_train_runs_its_stages_one_after_the_other(tmp_path, monkeypatch, capsys):
