@@ -16,7 +16,78 @@ from .navigation import NavigationEnv
 from .robots import TURTLEBOT2, Robot, get_robot
 
 
-class CircleDemonstrator(TensorDictModuleBase):
+class _Driver(TensorDictModuleBase):
+    """Turns towards a bearing and drives on: what the drivers below have in common."""
+
+    # Turn rate per radian that the robot heads off: four fifths of it are gone a step later.
+    _GAIN = 0.8 / NavigationEnv.CONTROL_PERIOD
+
+    def __init__(
+        self,
+        speed: float,
+        robot: str | Robot,
+        in_keys: list[NestedKey],
+        action_key: NestedKey,
+        scaled: bool,
+    ) -> None:
+        super().__init__()
+        robot = get_robot(robot)
+        if not 0 < speed <= robot.max_speed:
+            raise ValueError(f"speed must be in (0, {robot.max_speed}] m/s, got {speed}.")
+        self.in_keys, self.out_keys = in_keys, [action_key]
+        self.speed, self.scaled = speed, scaled
+        self.max_speed, self.max_turn_rate = robot.max_speed, robot.max_turn_rate
+
+    def _forward_speed(self, bearing: Tensor) -> Tensor:
+        """Slow in corners: they are sharp in the demonstration."""
+        return self.speed * bearing.cos().clamp_min(0.0) ** 2
+
+    def _write(self, tensordict: TensorDictBase, forward: Tensor, turn: Tensor) -> TensorDictBase:
+        """Set the action from m/s and rad/s, within the robot's limits."""
+        turn = turn.clamp(-self.max_turn_rate, self.max_turn_rate)
+        if self.scaled:
+            forward, turn = 2 * forward / self.max_speed - 1, turn / self.max_turn_rate
+        return tensordict.set(self.out_keys[0], torch.stack((forward, turn), dim=-1))
+
+
+class _PassingDriver(_Driver):
+    """Passes the human on a side; ``_steer`` says how, for the left one."""
+
+    def __init__(
+        self,
+        radius: float | Tensor = 1.0,
+        side: Literal["left", "right"] = "left",
+        speed: float = 0.5,
+        robot: str | Robot = TURTLEBOT2,
+        *,
+        goal_key: NestedKey = "goal",
+        human_key: NestedKey = "human",
+        action_key: NestedKey = "action",
+        scaled: bool = False,
+    ) -> None:
+        super().__init__(speed, robot, [goal_key, human_key], action_key, scaled)
+        if not (torch.as_tensor(radius) > 0).all():
+            raise ValueError(f"radius must be positive, got {radius} m.")
+        if side not in ("left", "right"):
+            raise ValueError(f"side must be 'left' or 'right', got {side!r}.")
+        self.radius, self.side = radius, side
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action for every robot."""
+        mirror = 1.0 if self.side == "left" else -1.0
+        goal, human = (
+            polar * polar.new_tensor([1.0, mirror])
+            for polar in (tensordict.get(key) for key in self.in_keys)
+        )
+        forward, turn = self._steer(goal, human)
+        return self._write(tensordict, forward, mirror * turn)
+
+    def _steer(self, goal: Tensor, human: Tensor) -> tuple[Tensor, Tensor]:
+        """Speed and turn rate, m/s and rad/s, from polar positions ``[*B, 2]``."""
+        raise NotImplementedError
+
+
+class CircleDemonstrator(_PassingDriver):
     """Drive the pattern that de Heuvel et al. demonstrate (arXiv:2404.04857, section III-D).
 
     The robot drives straight at the human; at ``radius`` it turns by 90 degrees to the left and
@@ -56,46 +127,7 @@ class CircleDemonstrator(TensorDictModuleBase):
         True
     """
 
-    def __init__(
-        self,
-        radius: float | Tensor = 1.0,
-        side: Literal["left", "right"] = "left",
-        speed: float = 0.5,
-        robot: str | Robot = TURTLEBOT2,
-        *,
-        goal_key: NestedKey = "goal",
-        human_key: NestedKey = "human",
-        action_key: NestedKey = "action",
-        scaled: bool = False,
-    ) -> None:
-        super().__init__()
-        robot = get_robot(robot)
-        if not (torch.as_tensor(radius) > 0).all():
-            raise ValueError(f"radius must be positive, got {radius} m.")
-        if side not in ("left", "right"):
-            raise ValueError(f"side must be 'left' or 'right', got {side!r}.")
-        _check_speed(speed, robot)
-        self.in_keys = [goal_key, human_key]
-        self.out_keys = [action_key]
-        self.radius, self.side, self.speed = radius, side, speed
-        self.max_speed, self.max_turn_rate = robot.max_speed, robot.max_turn_rate
-        self.scaled = scaled
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the action for every robot."""
-        goal, human = (tensordict.get(key) for key in self.in_keys)
-        mirror = 1.0 if self.side == "left" else -1.0
-        turn, forward = self._command(
-            goal * goal.new_tensor([1.0, mirror]), human * human.new_tensor([1.0, mirror])
-        )
-        if self.scaled:
-            forward = 2 * forward / self.max_speed - 1
-            turn = turn / self.max_turn_rate
-        tensordict.set(self.out_keys[0], torch.stack((forward, mirror * turn), dim=-1))
-        return tensordict
-
-    def _command(self, goal: Tensor, human: Tensor) -> tuple[Tensor, Tensor]:
-        """Turn rate and speed for passing on the left."""
+    def _steer(self, goal: Tensor, human: Tensor) -> tuple[Tensor, Tensor]:
         human_distance, human_bearing = human.unbind(-1)
         # Angle from human->goal to human->robot: pi before the human, falling to 0 on the orbit.
         towards_goal = _cartesian(goal) - _cartesian(human)
@@ -110,14 +142,54 @@ class CircleDemonstrator(TensorDictModuleBase):
         inwards = (2.0 * (human_distance - self.radius)).clamp(-0.6, 0.6)
         tangent = wrap_angle(human_bearing + math.pi / 2 - inwards)
         heading = torch.where(leaving, goal[..., 1], torch.where(orbiting, tangent, human_bearing))
-        # Slow in corners: they are sharp in the demonstration.
-        forward = self.speed * heading.cos().clamp_min(0.0) ** 2
+        forward = self._forward_speed(heading)
         curve = torch.where(orbiting, -forward / self.radius, torch.zeros_like(forward))
-        turn = 0.8 / NavigationEnv.CONTROL_PERIOD * heading + curve
-        return turn.clamp(-self.max_turn_rate, self.max_turn_rate), forward
+        return forward, self._GAIN * heading + curve
 
 
-class StraightDriver(TensorDictModuleBase):
+class DetourDriver(_PassingDriver):
+    """Drive the shortest way to the goal that keeps a distance from the human.
+
+    Straight at the goal where that way is clear, else along the tangent to the circle around the
+    human: what a robot does that has no style but a berth. It does not avoid boxes.
+
+    Args:
+        radius: of the circle around the human's centre, metres; or one per robot, ``[*B]``.
+        side: on which side of the human the robot passes, seen from its start.
+        speed: forward speed, m/s.
+        robot: whose limits it respects.
+
+    Keyword Args:
+        goal_key: polar goal ``[*B, 2]`` (m, rad).
+        human_key: polar human ``[*B, 2]``.
+        action_key: where the action ``[*B, 2]`` is written.
+        scaled: see :class:`CircleDemonstrator`.
+
+    Raises:
+        ValueError: as :class:`CircleDemonstrator`.
+
+    Examples:
+        >>> from envs import NavigationEnv
+        >>> env = NavigationEnv(scene="empty", num_envs=2, seed=0)
+        >>> rollout = env.rollout(
+        ...     300, DetourDriver(0.8), break_when_any_done=False, break_when_all_done=True
+        ... )
+        >>> bool((rollout["human"][..., 0].amin(1) > 0.75).all())
+        True
+    """
+
+    def _steer(self, goal: Tensor, human: Tensor) -> tuple[Tensor, Tensor]:
+        distance, bearing = human.unbind(-1)
+        off = wrap_angle(bearing - goal[..., 1])
+        # The human is behind, or beside the straight way and far enough from it.
+        clear = (off.cos() <= 0) | (distance * off.sin() <= -self.radius)
+        inwards = (2.0 * (distance - self.radius)).clamp(-0.6, 0.0)
+        tangent = bearing + (self.radius / distance).clamp_max(1.0).asin() - inwards
+        heading = torch.where(clear, goal[..., 1], wrap_angle(tangent))
+        return self._forward_speed(heading), self._GAIN * heading
+
+
+class StraightDriver(_Driver):
     """Turn towards the goal and drive at full speed, whatever stands in the way.
 
     Args:
@@ -142,28 +214,12 @@ class StraightDriver(TensorDictModuleBase):
         action_key: NestedKey = "action",
         scaled: bool = False,
     ) -> None:
-        super().__init__()
-        robot = get_robot(robot)
-        _check_speed(speed, robot)
-        self.in_keys, self.out_keys = [goal_key], [action_key]
-        self.speed, self.scaled = speed, scaled
-        self.max_speed, self.max_turn_rate = robot.max_speed, robot.max_turn_rate
+        super().__init__(speed, robot, [goal_key], action_key, scaled)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action for every robot."""
         bearing = tensordict.get(self.in_keys[0])[..., 1]
-        forward = self.speed * bearing.cos().clamp_min(0.0) ** 2
-        turn = 0.8 / NavigationEnv.CONTROL_PERIOD * bearing
-        turn = turn.clamp(-self.max_turn_rate, self.max_turn_rate)
-        if self.scaled:
-            forward, turn = 2 * forward / self.max_speed - 1, turn / self.max_turn_rate
-        tensordict.set(self.out_keys[0], torch.stack((forward, turn), dim=-1))
-        return tensordict
-
-
-def _check_speed(speed: float, robot: Robot) -> None:
-    if not 0 < speed <= robot.max_speed:
-        raise ValueError(f"speed must be in (0, {robot.max_speed}] m/s, got {speed}.")
+        return self._write(tensordict, self._forward_speed(bearing), self._GAIN * bearing)
 
 
 def _cartesian(polar: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The scripted demonstration: its geometry in 200 random scenes, its mirror image and its options."""
+"""The scripted drivers: their geometry in 200 random scenes, mirror images and options."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import ActionScaling, TransformedEnv
 
 from envs import HSR, TURTLEBOT2, NavigationEnv
-from envs.demonstrator import CircleDemonstrator, StraightDriver, demonstrated_paths
+from envs.demonstrator import (
+    CircleDemonstrator,
+    DetourDriver,
+    StraightDriver,
+    demonstrated_paths,
+)
 from envs.geometry import rotate, wrap_angle
 from torchrl_morl.evaluation import episode_mask
 
@@ -173,12 +178,13 @@ def flip(start: TensorDictBase) -> TensorDictBase:
     return start
 
 
-def test_the_right_side_is_the_mirror_image():
+@pytest.mark.parametrize("make", [CircleDemonstrator, DetourDriver])
+def test_the_right_side_is_the_mirror_image(make):
     env = make_env(num_envs=40)
     start = env.reset()
-    left = roll_out(env, CircleDemonstrator(), start.clone())
+    left = roll_out(env, make(), start.clone())
     mirrored = env.reset(flip(start), set_state=True)
-    right = roll_out(env, CircleDemonstrator(side="right"), mirrored)
+    right = roll_out(env, make(side="right"), mirrored)
     assert torch.equal(left["mask"], right["mask"])
     image = torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)
     # Exact but for the rounding of the simulation, over a hundred steps.
@@ -190,11 +196,11 @@ def test_the_right_side_is_the_mirror_image():
     # On the same observation, mirrored, there is no difference at all.
     seen = left.select("goal", "human")
     seen = seen.apply(lambda polar: polar * image[:2])
-    action = CircleDemonstrator(side="right")(seen)["action"]
+    action = make(side="right")(seen)["action"]
     assert torch.equal(action, left["action"] * image[:2])
 
 
-@pytest.mark.parametrize("make", [CircleDemonstrator, StraightDriver])
+@pytest.mark.parametrize("make", [CircleDemonstrator, DetourDriver, StraightDriver])
 def test_scaled_actions_give_the_same_motion(make):
     env = make_env(num_envs=20)
     start = env.reset()
@@ -234,13 +240,13 @@ def test_speed(speed):
     assert ((pattern.distance - 1.0).abs()[orbit] < 0.05).all()
 
 
-@pytest.mark.parametrize("make", [CircleDemonstrator, StraightDriver])
+@pytest.mark.parametrize("make", [CircleDemonstrator, DetourDriver, StraightDriver])
 def test_nested_keys_and_any_batch_shape(make):
     seen = TensorDict(goal=torch.rand(3, 4, 2) + 2, human=torch.rand(3, 4, 2) + 0.5)
     seen.batch_size = [3, 4]
     expected = make()(seen.clone())["action"]
     keys = {"goal_key": ("sensors", "goal"), "action_key": ("agent", "act")}
-    if make is CircleDemonstrator:
+    if make is not StraightDriver:
         keys["human_key"] = ("sensors", "person")
     policy = make(**keys)
     nested = TensorDict(
@@ -252,22 +258,111 @@ def test_nested_keys_and_any_batch_shape(make):
     assert expected.shape == (3, 4, 2)
 
 
+@pytest.mark.parametrize("make", [CircleDemonstrator, DetourDriver])
 @pytest.mark.parametrize("radius", [0.0, -1.0, math.nan, torch.tensor([1.0, 0.0])])
-def test_radius_must_be_positive(radius):
+def test_radius_must_be_positive(make, radius):
     with pytest.raises(ValueError, match="radius must be positive"):
-        CircleDemonstrator(radius)
+        make(radius)
 
 
-def test_side_must_be_known():
+@pytest.mark.parametrize("make", [CircleDemonstrator, DetourDriver])
+def test_side_must_be_known(make):
     with pytest.raises(ValueError, match="'left' or 'right', got 'up'"):
-        CircleDemonstrator(side="up")
+        make(side="up")
 
 
-@pytest.mark.parametrize("make", [CircleDemonstrator, StraightDriver])
+@pytest.mark.parametrize("make", [CircleDemonstrator, DetourDriver, StraightDriver])
 @pytest.mark.parametrize("speed", [0.0, -0.1, 0.6, math.nan])
 def test_speed_must_be_within_the_robots(make, speed):
     with pytest.raises(ValueError, match=r"speed must be in \(0, 0\.5\] m/s"):
         make(speed=speed)
+
+
+# --- detour ------------------------------------------------------------------------------------
+
+
+def shortest_way(start: TensorDictBase, radius: torch.Tensor) -> torch.Tensor:
+    """Length from start to goal, on the left of the circle: tangent, arc and tangent."""
+    human, goal = start["human_pose"][:, :2], start["scene", "goal"]
+    before, behind = start["qpos"][:, :2] - human, goal - human
+    angles = (torch.atan2(way[:, 1], way[:, 0]) for way in (before, behind))
+    clockwise = torch.sub(*angles) % (2 * math.pi)
+    length = torch.zeros_like(radius)
+    for distance in (before.norm(dim=-1), behind.norm(dim=-1)):
+        length += (distance**2 - radius**2).sqrt()
+        clockwise -= torch.acos(radius / distance)
+    return length + radius * clockwise
+
+
+@pytest.fixture(scope="module")
+def detour() -> tuple[TensorDictBase, TensorDictBase, torch.Tensor]:
+    """Start, rollout and radius of 160 detours: with each radius in 40 scenes."""
+    radius = torch.tensor([0.5, 0.8, 1.0, 1.4], dtype=torch.float64).repeat(40)
+    env = make_env(num_envs=160)
+    start = env.reset()
+    return start, roll_out(env, DetourDriver(radius), start.clone()), radius
+
+
+def test_a_detour_is_the_shortest_way_around_the_circle(detour):
+    start, data, radius = detour
+    assert succeeded(data).all()
+    moved = (data["next", "pose"] - data["pose"])[..., :2].norm(dim=-1)
+    length = torch.where(data["mask"], moved, 0.0).sum(1)
+    # Longer by the turn at the start, up to 30 degrees and more; it ends up to a step inside the goal.
+    more = length - (shortest_way(start, radius) - 0.3)
+    assert more.min() > 0
+    assert more.max() < 0.13
+
+
+def test_a_detour_touches_its_circle_on_its_side(detour):
+    _, data, radius = detour
+    distance, bearing = data["human"].unbind(-1)
+    distance = torch.where(data["mask"], distance, torch.inf)
+    nearest, step = distance.min(1)
+    # Outside of it, by a centimetre: the arc of the smallest radius takes one step only.
+    assert (nearest > radius - 1e-3).all()
+    assert (nearest < radius + 0.015).all()
+    # The human is on its right all along.
+    passed = at(bearing, step)
+    assert ((passed + math.pi / 2).abs() < 0.15).all()
+
+
+def test_a_radius_for_each_detour(detour):
+    _, data, radius = detour
+    for value in (0.5, 1.4):
+        rows = radius == value
+        alone = DetourDriver(value)(data[rows].select("goal", "human"))
+        torch.testing.assert_close(alone["action"], data["action"][rows], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("side", "sign"), [("left", -1.0), ("right", 1.0)])
+def test_a_detour_is_straight_where_the_way_is_clear(side, sign):
+    env = make_env(num_envs=20)
+    start = env.reset()
+    for beside, straight in ((1.05, True), (0.95, False)):
+        start["human_pose"][:, 1] = sign * beside  # the goal lies on the x axis
+        data = roll_out(env, DetourDriver(side=side), env.reset(start.clone(), set_state=True))
+        expected = StraightDriver()(data.select("goal"))["action"]
+        assert torch.equal(data["action"][:, 0], expected[:, 0]) == straight
+        # On the wrong side of it there is no straight way, however far the human.
+        start["human_pose"][:, 1] = -sign * beside
+        data = roll_out(env, DetourDriver(side=side), env.reset(start.clone(), set_state=True))
+        nearest = torch.where(data["mask"], data["human"][..., 0], torch.inf).amin(1)
+        assert nearest.sub(1.0).abs().max() < 0.01
+        assert succeeded(data).all()
+
+
+def test_a_detour_leads_away_from_inside_the_circle():
+    seen = TensorDict(
+        goal=torch.tensor([[4.0, 0.0], [4.0, -0.5]]),
+        human=torch.tensor([[0.8, 0.0], [0.8, -math.pi / 2]]),
+        batch_size=[2],
+    )
+    _, turn = DetourDriver()(seen)["action"].unbind(-1)
+    # At a right angle to the human and 2 rad per metre more, times four fifths of 5 Hz.
+    assert turn.tolist() == pytest.approx([math.pi, 4 * 0.4])
+    _, turn = DetourDriver(side="right")(seen)["action"].unbind(-1)
+    assert turn[0].item() == pytest.approx(-math.pi)
 
 
 # --- straight driver ---------------------------------------------------------------------------

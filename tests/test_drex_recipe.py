@@ -8,21 +8,21 @@ import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib.axes
 import pytest
 import torch
-from omegaconf import DictConfig, OmegaConf
 from safetensors.torch import load_file
 from tensordict import TensorDict
 
 from envs.demonstrator import CircleDemonstrator
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env
-from recipes.drex import report, utils
+from recipes.drex import drex, report, utils
 from recipes.pd_morl import utils as pd_morl
+from tests._drex import ROOT, TINY, config
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.deploy import load_policy, load_reward_model
 from torchrl_morl.modules import RewardModel
 
-ROOT = Path(__file__).resolve().parent.parent
 PICTURES = ("degradation.png", "heat_map.png", "style_contrast.png")
 STYLES = (
     "demonstration",
@@ -30,23 +30,9 @@ STYLES = (
     "orbit 1.3 m",
     "orbit 1.6 m",
     "mirrored",
+    "cut corners",
     "distance keeping",
     "straight",
-)
-TINY = (
-    "demonstrations.count=6",
-    "demonstrations.batch=12",
-    "cloning.updates=100",
-    "cloning.batch_size=64",
-    "cloning.num_cells=[16]",
-    "noise.levels=[0.0,0.2]",
-    "noise.rollouts=4",
-    "style_negatives.rollouts=8",
-    "reward_model.updates=20",
-    "reward_model.num_cells=[16]",
-    "reward_model.batch_size=8",
-    "diagnostics.rollouts=4",
-    "env.num_threads=1",
 )
 
 
@@ -65,13 +51,6 @@ def distill(folder: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
     return run("recipes.drex.drex", *TINY, *overrides, f"hydra.run.dir={folder}")
 
 
-def config(recipe: str = "drex", **changes: object) -> DictConfig:
-    cfg = OmegaConf.load(ROOT / "recipes" / recipe / "config.yaml")
-    for key, value in changes.items():
-        OmegaConf.update(cfg, key.replace("__", "."), value)
-    return cfg
-
-
 # --- from the command line
 
 
@@ -83,7 +62,13 @@ def distilled(tmp_path_factory) -> Path:
     warnings = [line for line in result.stderr.splitlines() if "Warning" in line]
     # TorchRL's BCLoss about itself.
     assert all("torchrl/objectives/common.py" in line for line in warnings), warnings
-    for text in ("Spearman rho(noise level, mean R)", "lead of the demonstration", *STYLES):
+    lines = (
+        "Spearman rho(noise level, mean R)",
+        "held-out pairs ranked right",
+        "share of R outside [0.02, 0.98]",
+        "lead of the demonstration",
+    )
+    for text in (*lines, *STYLES):
         assert text in result.stdout
     return folder
 
@@ -116,6 +101,9 @@ def test_card_holds_the_gates(distilled):
     assert math.isfinite(card["behaviour_cloning_loss"])
     for name in ("noise pairs", "style pairs"):
         assert 0 <= card[f"held_out_accuracy {name}"] <= 1
+    per_gap = card["held_out_accuracy per noise gap"]
+    assert list(per_gap) == ["0.2"]
+    assert 0 <= per_gap["0.2"] <= 1
 
 
 def test_one_seed_gives_one_reward_model(distilled, tmp_path):
@@ -133,87 +121,37 @@ def test_one_seed_gives_one_reward_model(distilled, tmp_path):
     assert weights != (other / "reward_model" / "reward_model.safetensors").read_bytes()
     card = json.loads((other / "reward_model" / "reward_model.json").read_text())["card"]
     assert [name for name in card if name.startswith("held_out")] == [
-        "held_out_accuracy noise pairs"
+        "held_out_accuracy noise pairs",
+        "held_out_accuracy per noise gap",
     ]
     assert list(card["style_contrast"]) == list(STYLES)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"style_negatives__rollouts": 5}, "rollouts must be 0 or at least 12"),
+        ({"reward_model__inputs": ["position"]}, "inputs must be some of"),
+    ],
+)
+def test_what_is_wrong_shows_before_anything_is_run(changes, message):
+    """There is not even a run folder: Hydra makes it, which is not called here."""
+    with pytest.raises(ValueError, match=message):
+        drex.main.__wrapped__(config(**changes))
 
 
 # --- its stages
 
 
-def group(number: int, count: int = 5, steps: int = 60) -> TensorDict:
-    """Trajectories whose observation says who they are; they are near the human halfway."""
-    step = torch.arange(steps, dtype=torch.float32).expand(count, steps)
-    return TensorDict(
-        {
-            "observation": torch.stack((torch.full_like(step, number), step), dim=-1),
-            "action": torch.zeros(count, steps, 2),
-            "human": torch.stack(((step - 25).abs() / 5, torch.zeros_like(step)), dim=-1),
-            "mask": torch.ones(count, steps, dtype=torch.bool),
-        },
-        batch_size=[count, steps],
-    )
-
-
-DEMONSTRATION, CLONE, NOISY, NOISIER, ORBIT, STRAIGHT = range(6)
-NOISE = {DEMONSTRATION: 0.0, CLONE: -0.0, NOISY: -0.1, NOISIER: -0.2}
-
-
-def test_styles_are_compared_with_undisturbed_driving_near_the_human():
-    noisy = [(quality, group(number)) for number, quality in NOISE.items()]
-    styles = [group(ORBIT), group(STRAIGHT)]
-    _, source = utils.ranked_snippets(config(reward_model__near_human=2.0), noisy, styles)
-    pairs = source.sample(500)
-    preferred, other = (pairs[key, "observation"][:, 0] for key in ("preferred", "other"))
-    assert set(preferred[:, 0].tolist()) == {DEMONSTRATION, CLONE}
-    assert set(other[:, 0].tolist()) == {ORBIT, STRAIGHT}
-    for snippets in (preferred, other):
-        assert set(snippets[:, 1].tolist()) == set(range(16, 35))  # within 2 m, see `group`
-
-
-@pytest.mark.parametrize("styles", [[], [group(ORBIT)]], ids=["plain", "extended"])
-def test_noise_is_compared_with_less_noise_anywhere(styles):
-    noisy = [(quality, group(number)) for number, quality in NOISE.items()]
-    cfg = config(reward_model__snippet_length=20, reward_model__min_gap=0.05)
-    sources = utils.ranked_snippets(cfg, noisy, styles)
-    assert len(sources) == 1 + bool(styles)
-    pairs = sources[0].sample(500)
-    preferred, other = (pairs[key, "observation"][:, 0] for key in ("preferred", "other"))
-    combinations = {
-        (int(better), int(worse))
-        for better, worse in zip(preferred[:, 0], other[:, 0], strict=True)
-    }
-    expected = {(i, j) for i, a in NOISE.items() for j, b in NOISE.items() if a > b}
-    assert combinations == expected
-    assert set(preferred[:, 1].tolist()) == set(range(41))
-
-
-def test_other_styles_are_none_of_the_demonstration():
-    cfg = config(style_negatives__rollouts=12, env__num_threads=1)
-    narrow, mirrored, opposite, straight = utils.other_styles(cfg)
-    assert all(len(data) == 3 for data in (narrow, mirrored, opposite, straight))
-    for data in (narrow, mirrored, opposite, straight):
-        assert torch.equal(data["mask"].any(-1), torch.ones(3, dtype=torch.bool))
-    near = [
-        data["human"][..., 0].masked_fill(~data["mask"], torch.inf).amin(-1)
-        for data in (narrow, mirrored)
-    ]
-    assert ((torch.cat(near) - 1.0).abs() > 0.05).any()
-    # What a robot on the other side sees: the human on its left.
-    beside = opposite["mask"] & (opposite["human"][..., 0] < 1.05)
-    median = opposite["human"][..., 1][beside].median().item()
-    assert median == pytest.approx(math.pi / 2, abs=0.2)
-
-
-@pytest.mark.parametrize("updates", [100, 500])
-def test_cloning_returns_its_best_policy(updates):
-    """Also when it ends before the first regular check."""
-    observation = torch.rand(12, 30, OBSERVATION_SIZE) - 0.5
+@pytest.mark.parametrize(("count", "updates"), [(12, 100), (12, 500), (1, 500)])
+def test_cloning_returns_its_best_policy(count, updates):
+    """Also when it ends before the first regular check, and with nothing to hold out."""
+    observation = torch.rand(count, 30, OBSERVATION_SIZE) - 0.5
     data = TensorDict(
         observation=observation,
         action=observation[..., :2],
-        mask=torch.ones(12, 30, dtype=torch.bool),
-        batch_size=[12, 30],
+        mask=torch.ones(count, 30, dtype=torch.bool),
+        batch_size=[count, 30],
     )
     cfg = config(cloning__num_cells=[16], cloning__updates=updates, cloning__lr=1e-2)
     policy, loss = utils.clone_behaviour(cfg, data)
@@ -223,23 +161,55 @@ def test_cloning_returns_its_best_policy(updates):
     assert 0 < loss < 0.1 * signal
 
 
-AHEAD = torch.tensor([[5.0, 0.1], [4.0, 0.0], [4.0, 0.0]])
-BESIDE = torch.tensor([[2.0, 0.2], [1.0, -math.pi / 2], [1.0, math.pi / 2]])
+# --- the report
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_contrast_is_with_the_demonstration_that_was_given(side):
-    section = {"radius": 1.2, "side": side, "speed": 0.3}
-    cfg = config(**{f"demonstrations__{key}": value for key, value in section.items()})
-    seen = TensorDict(goal=AHEAD, human=BESIDE, batch_size=[3])
-    expected = CircleDemonstrator(**section, scaled=True)(seen.clone())["action"]
-    styles = utils.contrast_styles(cfg)
-    assert torch.equal(styles.pop("demonstration")(seen.clone())["action"], expected)
-    for name, policy in styles.items():
-        action = policy(seen.clone())["action"]
-        assert not torch.equal(action, expected), name
-        # As fast as demonstrated: what tells styles apart must be the way that they take.
-        assert ((action[:, 0] + 1) / 4).max() <= 0.3 + 1e-6, name
+def test_mean_and_error():
+    mean, error = utils.mean_and_error(torch.tensor([[1.0, 2.0, 3.0], [4.0, 4.0, 4.0]]))
+    assert mean.tolist() == [2.0, 4.0]
+    assert error.tolist() == pytest.approx([3**-0.5, 0.0])
+    for count in (0, 1):
+        mean, error = utils.mean_and_error(torch.ones(2, count))
+        assert mean.isnan().all() == (count == 0)
+        assert error.isnan().all()
+
+
+def test_core_return_is_a_share_of_the_way():
+    data = TensorDict(
+        {
+            "goal": torch.tensor([[8.0, 0.0]]).expand(2, 3, 2),
+            "mask": torch.tensor([[True, True, True], [True, True, False]]),
+            "next": {"reward": torch.tensor([[500.0, 250.0, 250.0], [500.0, -1000.0, 7.0]])},
+        },
+        batch_size=[2, 3],
+    )
+    data["next", "reward"] = torch.stack((data["next", "reward"], torch.ones(2, 3)), dim=-1)
+    assert utils.core_return(data).tolist() == [1.0, -0.5]
+
+
+def test_degradation_is_measured_against_the_demonstrated_paths(tmp_path, monkeypatch):
+    """Whoever drives as demonstrated is 0 m off, in fewer scenes than were rolled out, too."""
+    cfg = config(overrides=TINY, noise__rollouts=16, diagnostics__rollouts=12)
+    demonstrator = utils.demonstrator(cfg)
+    data = utils.rollouts(demonstrator, 16, cfg.seed + 10_000, **cfg.env)
+    free = utils.demonstrated(cfg, 16, cfg.seed + 10_000)["free"]
+    assert torch.equal(utils.succeeded(data), free)
+    assert 3 < free[:12].sum() < 12
+    seen = []
+    monkeypatch.setattr(
+        matplotlib.axes.Axes, "errorbar", lambda ax, *points, **style: seen.append(points)
+    )
+    backwards = data.clone()  # of the goal, by all of the way
+    backwards["next", "reward"] = -data["next", "reward"]
+    groups = [(0.0, data), (-0.2, backwards)]
+    report.degradation_figure(tmp_path / "degradation.png", cfg, groups)
+    (levels, core, core_error), (_, frechet, frechet_error) = seen
+    assert levels == [0.0, 0.2]
+    expected = utils.core_return(data[:12]).mean().item()
+    assert core.tolist() == pytest.approx([expected, -expected])
+    assert (core_error > 0).all()
+    assert frechet.abs().max() < 1e-4
+    assert frechet_error.abs().max() < 1e-4
 
 
 # --- the report's own observation

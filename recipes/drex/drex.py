@@ -17,13 +17,16 @@ from torchrl._utils import timeit
 
 from torchrl_morl.data import save_demonstrations
 
-from . import utils
+from . import ranking, styles, utils
 from .report import write_report
 
 
 @hydra.main(version_base="1.3", config_path="", config_name="config")
 def main(cfg: DictConfig) -> None:
     """Demonstrations, behaviour cloning, noisy rollouts, ranking, diagnostics."""
+    # Nothing is run before the configuration has been accepted.
+    ranking.hidden_entries(cfg)
+    styles.rollouts_per_style(cfg)
     torch.set_num_threads(cfg.torch_threads)
     torch.manual_seed(cfg.seed)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
@@ -40,14 +43,14 @@ def main(cfg: DictConfig) -> None:
         noisy = [(0.0, demonstrations), *utils.noisy_rollouts(cfg, policy)]
     with timeit("other styles"):
         # The extension to D-REX: other ways to drive rank below the demonstrations.
-        styles = utils.other_styles(cfg) if cfg.style_negatives.rollouts else []
+        others = styles.other_styles(cfg) if cfg.style_negatives.rollouts else []
     with timeit("reward model"):
-        snippets = utils.ranked_snippets(cfg, noisy, styles)
-        model, scores = utils.train_reward_model(cfg, snippets)
+        snippets = ranking.ranked_snippets(cfg, noisy, others)
+        model, scores = ranking.train_reward_model(cfg, snippets)
     with timeit("diagnostics"):
-        report = write_report(run_dir, cfg, model, noisy)
+        report = write_report(run_dir, cfg, model, noisy, scores)
     card = {"behaviour_cloning_loss": cloning_loss, **scores, **report}
-    utils.save_model(run_dir / "reward_model", cfg, model, card)
+    ranking.save_model(run_dir / "reward_model", cfg, model, card)
     timeit.print()
     print(f"reward model and report: {run_dir}")
 

@@ -19,10 +19,10 @@ from envs import HUMAN_RADIUS
 from envs.geometry import wrap_angle
 from envs.policy_env import GOAL_SCALE, HUMAN_SCALE, NUM_SECTORS, LogRange
 from envs.robots import get_robot
-from torchrl_morl.evaluation import discrete_frechet, steerability
+from torchrl_morl.evaluation import steerability
 from torchrl_morl.modules import RewardModel
 
-from . import utils
+from . import ranking, styles, utils
 
 # Of the environment's lidar.
 _NUM_RAYS, _MAX_RANGE = 720, 4.0
@@ -34,6 +34,7 @@ def write_report(
     cfg: DictConfig,
     model: RewardModel,
     groups: list[tuple[float, TensorDictBase]],
+    held_out: dict[str, Any],
 ) -> dict[str, Any]:
     """Numbers and pictures of a reward model.
 
@@ -42,12 +43,13 @@ def write_report(
         cfg: of the recipe.
         model: the reward model.
         groups: demonstrations, then the noisy rollouts with their quality (minus the noise level).
+        held_out: of :func:`ranking.held_out_accuracy`.
 
     Returns:
         Diagnostics, as JSON values.
     """
     noisy = groups[1:]
-    scores = utils.mean_scores(model, noisy)
+    scores = ranking.mean_scores(model, noisy)
     levels = [-quality for quality, _ in noisy]
     every = torch.cat(
         [
@@ -55,14 +57,17 @@ def write_report(
             for _, data in groups
         ]
     )
-    contrast = utils.style_contrast(cfg, model)
+    contrast = styles.style_contrast(cfg, model)
     rivals = {name: value for name, value in contrast.items() if name != "demonstration"}
     lead = contrast["demonstration"] - max(rivals.values())
     degradation_figure(run_dir / "degradation.png", cfg, noisy)
     heat_map(run_dir / "heat_map.png", cfg, model)
     contrast_figure(run_dir / "style_contrast.png", contrast)
     rho = steerability(torch.tensor(levels), torch.tensor(scores))
+    share_saturated = ((every < 0.02) | (every > 0.98)).float().mean().item()
     print(f"Spearman rho(noise level, mean R) = {rho:.2f} (gate: <= -0.9)")
+    print(accuracy_table(held_out["held_out_accuracy per noise gap"]))
+    print(f"share of R outside [0.02, 0.98]: {100 * share_saturated:.1f} %")
     print("mean R within 2 m of the human:")
     for name, value in contrast.items():
         print(f"  {name:>18}: {value:.3f}")
@@ -71,45 +76,46 @@ def write_report(
         "noise_levels": levels,
         "mean_score_per_level": scores,
         "spearman_noise_score": rho,
-        "share_saturated": ((every < 0.02) | (every > 0.98)).float().mean().item(),
+        "share_saturated": share_saturated,
         "style_contrast": contrast,
         "style_lead": lead,
     }
+
+
+def accuracy_table(per_gap: dict[str, float]) -> str:
+    """Held-out pairs that R ranks right, by how far their noise levels are apart."""
+    lines = ["held-out pairs ranked right, by the gap between their noise levels:"]
+    lines += [f"  {gap:>18}: {100 * accuracy:.1f} %" for gap, accuracy in per_gap.items()]
+    return "\n".join(lines)
 
 
 def degradation_figure(
     path: Path, cfg: DictConfig, noisy: list[tuple[float, TensorDictBase]]
 ) -> None:
     """Core return and Frechet distance to the demonstration against noise (Fig. 2a)."""
-    rollouts = min(cfg.diagnostics.rollouts, cfg.noise.rollouts)
-    # In the scenes of the noisy rollouts.
-    reference = utils.rollouts(utils.demonstrator(cfg), rollouts, cfg.seed + 10_000, **cfg.env)
-    core, frechet = [], []
-    for _, data in noisy:
-        data = data[:rollouts]
-        reward = data["next", "reward"][..., 0] * data["mask"]
-        core.append(reward.sum(-1) / (125 * data["goal"][:, 0, 0]))
-        frechet.append(
-            discrete_frechet(
-                data["pose"][..., :2],
-                data["mask"],
-                reference["pose"][..., :2],
-                reference["mask"],
-            )
-        )
+    count = min(cfg.diagnostics.rollouts, cfg.noise.rollouts)
+    # In the scenes of the noisy rollouts; nobody can follow a path that leads through a box.
+    reference = utils.demonstrated(cfg, cfg.noise.rollouts, cfg.seed + 10_000)[:count]
+    free = reference["free"]
+    core = torch.stack([utils.core_return(data[:count]) for _, data in noisy])
+    frechet = torch.stack([utils.frechet(data[:count], reference)[free] for _, data in noisy])
     levels = [-quality for quality, _ in noisy]
     fig, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
     for ax, values, label in (
         (axes[0], core, "core return / (125 x start-goal distance)"),
         (axes[1], frechet, "Frechet distance to the demonstration / m"),
     ):
-        stacked = torch.stack(values)
-        mean, error = stacked.mean(-1), stacked.std(-1) / rollouts**0.5
+        mean, error = utils.mean_and_error(values)
         ax.errorbar(levels, mean, error, marker="o", capsize=3, color="#0072b2")
         ax.set_xlabel("share of noisy steps")
         ax.set_ylabel(label)
+        ax.set_title(f"n = {values.shape[1]}", fontsize=9)
         ax.grid(alpha=0.3)
-    fig.suptitle(f"cloned policy under held noise, {rollouts} rollouts a level, standard errors")
+    fig.suptitle(
+        "cloned policy under held noise, means and standard errors; the distance where no box "
+        "stands on the demonstrated path",
+        fontsize=10,
+    )
     fig.savefig(path, dpi=120)
     plt.close(fig)
 

@@ -1,29 +1,27 @@
-"""Stages of the D-REX recipe."""
+"""Rollouts of the D-REX recipe: demonstrations, their clone, and the clone under noise."""
 
 from __future__ import annotations
 
 import importlib.metadata
-from pathlib import Path
 from typing import Any
 
 import torch
 import tqdm
 from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
 from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import BCLoss
 
-from envs.demonstrator import CircleDemonstrator, StraightDriver
+from envs import NavigationEnv
+from envs.demonstrator import CircleDemonstrator, demonstrated_paths
+from envs.metrics import trajectories
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env
-from torchrl_morl.data import RankedSnippets
-from torchrl_morl.deploy import save_reward_model
-from torchrl_morl.evaluation import episode_mask
-from torchrl_morl.modules import RewardModel, make_actor
+from torchrl_morl.evaluation import discrete_frechet, episode_mask
+from torchrl_morl.modules import make_actor
 from torchrl_morl.modules.exploration import HeldEGreedyModule
-from torchrl_morl.objectives import BradleyTerryLoss
 
 ACTION_SPEC = Bounded(-1.0, 1.0, (2,))
 _KEPT = ("observation", "action", "goal", "human", "pose", "human_pose")
@@ -91,7 +89,12 @@ def collect_demonstrations(cfg: DictConfig) -> TensorDictBase:
 def clone_behaviour(
     cfg: DictConfig, demonstrations: TensorDictBase
 ) -> tuple[TensorDictSequential, float]:
-    """Behaviour cloning with early stopping on held-out trajectories; returns the best policy."""
+    """Behaviour cloning with early stopping on held-out trajectories.
+
+    Returns:
+        The best policy and its loss. A single demonstration leaves nothing to hold out: then the
+        loss is that of the training.
+    """
     generator = torch.Generator().manual_seed(cfg.seed)
     policy = make_actor(
         ACTION_SPEC,
@@ -108,7 +111,8 @@ def clone_behaviour(
         part = demonstrations[rows].select("observation", "action", "mask")
         return part[part["mask"]]
 
-    train, test = steps(order[held_out:]), steps(order[:held_out])
+    train = steps(order[held_out:] if len(order) > 1 else order)
+    test = steps(order[:held_out])
     best, best_state, waited = float("inf"), None, 0
     with tqdm.tqdm(total=cfg.cloning.updates, desc="cloning", unit="update") as progress:
         for update in range(1, cfg.cloning.updates + 1):
@@ -146,121 +150,35 @@ def noisy_rollouts(
     return groups
 
 
-def other_styles(cfg: DictConfig) -> list[TensorDictBase]:
-    """Orbits at other radii, mirrored orbits and straight driving, in random scenes."""
-    count = cfg.style_negatives.rollouts // 4
-    generator = torch.Generator().manual_seed(cfg.seed)
-    ranges = torch.tensor([list(pair) for pair in cfg.style_negatives.radii])
-
-    def radii() -> Tensor:
-        pick = ranges[torch.randint(len(ranges), (count,), generator=generator)]
-        return pick[:, 0] + (pick[:, 1] - pick[:, 0]) * torch.rand(count, generator=generator)
-
-    mirror = "right" if cfg.demonstrations.side == "left" else "left"
-    policies = (
-        demonstrator(cfg, radius=radii()),
-        demonstrator(cfg, radius=radii(), side=mirror),
-        demonstrator(cfg, side=mirror),
-        StraightDriver(cfg.demonstrations.speed, cfg.env.robot, scaled=True),
-    )
-    return [
-        rollouts(policy, count, cfg.seed + 20_000 + index, **cfg.env)
-        for index, policy in enumerate(policies)
-    ]
-
-
-def ranked_snippets(
-    cfg: DictConfig,
-    noisy: list[tuple[float, TensorDictBase]],
-    styles: list[TensorDictBase],
-) -> list[RankedSnippets]:
-    """Pairs within the levels of noise and, for the extension, between demonstrated and other styles.
-
-    Approach and departure are common to all styles: those pairs start close to the human, where
-    styles differ. Noise disturbs the whole way.
-    """
-    section = cfg.reward_model
-    length, seed = section.snippet_length, cfg.seed
-    snippets = [RankedSnippets(noisy, length=length, min_gap=section.min_gap, seed=seed)]
-    if styles:
-        undisturbed = [(0.0, data) for quality, data in noisy if quality == 0.0]
-        groups = undisturbed + [(-1.0, data) for data in styles]
-        for _, data in groups:
-            data.set("near", data["human"][..., 0] < section.near_human)
-        snippets.append(RankedSnippets(groups, length=length, focus_key="near", seed=seed + 1))
-    return snippets
-
-
-def train_reward_model(
-    cfg: DictConfig, snippets: list[RankedSnippets]
-) -> tuple[RewardModel, dict[str, float]]:
-    """Bradley-Terry on ranked snippets; every source of pairs has the same share of a batch."""
-    section = cfg.reward_model
-    train, held_out = zip(*(source.split(section.held_out) for source in snippets), strict=True)
-    model = RewardModel(
-        in_features=OBSERVATION_SIZE + 2,
-        num_cells=section.num_cells,
-        num_members=section.num_members,
-    )
-    loss = BradleyTerryLoss(model, label_smoothing=section.label_smoothing)
-    optimizer = torch.optim.AdamW(
-        loss.parameters(), lr=section.lr, weight_decay=section.weight_decay
-    )
-    share = section.batch_size // len(snippets)
-    with tqdm.tqdm(total=section.updates, desc="reward model", unit="update") as progress:
-        for update in range(1, section.updates + 1):
-            out = loss(torch.cat([source.sample(share) for source in train]))
-            optimizer.zero_grad()
-            out["loss_bradley_terry"].backward()
-            optimizer.step()
-            progress.update()
-            if update % 100 == 0:
-                progress.set_postfix(accuracy=f"{out['accuracy'].item():.2f}")
-    names = ("noise pairs", "style pairs")
-    with torch.no_grad():
-        scores = {
-            f"held_out_accuracy {name}": loss(source.sample(1024))["accuracy"].item()
-            for name, source in zip(names, held_out, strict=False)
-        }
-    loss.reward_network_params.data.to_module(model)
-    return model.requires_grad_(False), scores
-
-
-def contrast_styles(cfg: DictConfig) -> dict[str, TensorDictModuleBase]:
-    """The demonstration and what it must be told from."""
-    mirror = "right" if cfg.demonstrations.side == "left" else "left"
-    styles: dict[str, TensorDictModuleBase] = {"demonstration": demonstrator(cfg)}
-    for factor in (0.7, 1.3, 1.6):
-        other = factor * cfg.demonstrations.radius
-        styles[f"orbit {other:.1f} m"] = demonstrator(cfg, radius=other)
-    styles["mirrored"] = demonstrator(cfg, side=mirror)
-    styles["distance keeping"] = demonstrator(cfg, radius=1.9)
-    styles["straight"] = StraightDriver(cfg.demonstrations.speed, cfg.env.robot, scaled=True)
-    return styles
-
-
 @torch.no_grad()
-def style_contrast(cfg: DictConfig, model: RewardModel, within: float = 2.0) -> dict[str, float]:
-    """Mean R of each style over its steps within 2 m of the human, on fresh scenes."""
-    result = {}
-    for name, policy in contrast_styles(cfg).items():
-        data = rollouts(policy, cfg.diagnostics.rollouts, cfg.seed + 30_000, **cfg.env)
-        score = model(data.select("observation", "action"))["demo_score"].squeeze(-1)
-        near = data["mask"] & (data["human"][..., 0] < within)
-        result[name] = score[near].mean().item()
-    return result
+def demonstrated(cfg: DictConfig, count: int, seed: int) -> TensorDict:
+    """What the demonstrator drives in the scenes of :func:`rollouts`, as if there were no boxes."""
+    env = NavigationEnv(num_envs=count, seed=seed, **cfg.env)
+    start = env.reset()
+    env.close()
+    driver = CircleDemonstrator(**demonstrator_arguments(cfg))
+    return demonstrated_paths(driver, start, **cfg.env)
 
 
-@torch.no_grad()
-def mean_scores(model: RewardModel, groups: list[tuple[float, TensorDictBase]]) -> list[float]:
-    """Mean R over the steps of each group."""
-    return [
-        model(data.select("observation", "action"))["demo_score"]
-        .squeeze(-1)[data["mask"]]
-        .mean()
-        .item()
-        for _, data in groups
-    ]
+def core_return(data: TensorDictBase) -> Tensor:
+    """Of trajectories ``[N, T]``, as a share of what the way to the goal pays: 1 at best."""
+    reward = data["next", "reward"][..., 0] * data["mask"]
+    return reward.sum(-1) / (125 * data["goal"][:, 0, 0])
+
+
+def frechet(data: TensorDictBase, reference: TensorDictBase) -> Tensor:
+    """Distance of trajectories ``[N, T]`` from what is :func:`demonstrated` in their scenes, metres."""
+    path = trajectories(data)
+    return discrete_frechet(
+        path["position"], path["mask"], reference["position"], reference["mask"]
+    )
+
+
+def mean_and_error(values: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean over the last dimension and its standard error; NaN where there are too few values."""
+    mean = values.mean(-1)
+    variance = (values - mean.unsqueeze(-1)).square().mean(-1)
+    return mean, (variance / (values.shape[-1] - 1)).sqrt()
 
 
 def metadata(cfg: DictConfig) -> dict[str, Any]:
@@ -287,15 +205,3 @@ def demonstrator_arguments(cfg: DictConfig) -> dict[str, Any]:
         "speed": section.speed,
         "robot": cfg.env.robot,
     }
-
-
-def save_model(folder: Path, cfg: DictConfig, model: RewardModel, card: dict[str, Any]) -> None:
-    """Write the reward model and its card."""
-    save_reward_model(
-        folder,
-        model,
-        in_features=OBSERVATION_SIZE + 2,
-        num_cells=tuple(cfg.reward_model.num_cells),
-        num_members=cfg.reward_model.num_members,
-        card=metadata(cfg) | card,
-    )

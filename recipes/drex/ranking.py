@@ -1,0 +1,154 @@
+"""From ranked rollouts to a reward model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+import tqdm
+from omegaconf import DictConfig
+from tensordict import TensorDictBase
+
+from envs.policy_env import NUM_SECTORS, OBSERVATION_SIZE
+from torchrl_morl.data import RankedSnippets
+from torchrl_morl.deploy import save_reward_model
+from torchrl_morl.modules import RewardModel
+from torchrl_morl.objectives import BradleyTerryLoss
+
+from .utils import ACTION_SPEC, metadata
+
+# Where the parts of the observation lie, see `envs.policy_env.policy_transforms`.
+_PARTS = {
+    "lidar": range(NUM_SECTORS),
+    "goal": range(NUM_SECTORS, NUM_SECTORS + 3),
+    "human": range(NUM_SECTORS + 3, OBSERVATION_SIZE),
+}
+
+
+def hidden_entries(cfg: DictConfig) -> list[int]:
+    """Entries of the observation that the reward model must not know.
+
+    Raises:
+        ValueError: for an input that does not exist, or none at all.
+    """
+    inputs, known = list(cfg.reward_model.inputs), [*_PARTS, "action"]
+    if not inputs or not set(inputs) <= set(known):
+        raise ValueError(f"reward_model.inputs must be some of {known}, got {inputs}.")
+    return [entry for part, entries in _PARTS.items() if part not in inputs for entry in entries]
+
+
+def make_reward_model(cfg: DictConfig) -> RewardModel:
+    """R of the inputs in the configuration.
+
+    The action is an input of its own. The observation is one vector, for robots, files and replay
+    buffers alike: a part that R must not know keeps its place, and the weights behind it are zero.
+    """
+    section, hidden = cfg.reward_model, hidden_entries(cfg)
+    sizes = {"observation": OBSERVATION_SIZE}
+    if "action" in section.inputs:
+        sizes["action"] = ACTION_SPEC.shape[-1]
+    model = RewardModel(
+        in_features=sum(sizes.values()),
+        in_keys=list(sizes),
+        num_cells=section.num_cells,
+        num_members=section.num_members,
+    )
+    for member in model.module.members:
+        member[0].weight.data[:, hidden] = 0.0
+    return model
+
+
+def ranked_snippets(
+    cfg: DictConfig,
+    noisy: list[tuple[float, TensorDictBase]],
+    styles: list[TensorDictBase],
+) -> list[RankedSnippets]:
+    """Pairs within the levels of noise and, for the extension, between demonstrated and other styles.
+
+    Departure and a long approach are common to all styles: those pairs start close to the human,
+    where styles differ. Noise disturbs the whole way.
+    """
+    section = cfg.reward_model
+    length, seed = section.snippet_length, cfg.seed
+    snippets = [RankedSnippets(noisy, length=length, min_gap=section.min_gap, seed=seed)]
+    if styles:
+        undisturbed = [(0.0, data) for quality, data in noisy if quality == 0.0]
+        groups = undisturbed + [(-1.0, data) for data in styles]
+        for _, data in groups:
+            data.set("near", data["human"][..., 0] < section.near_human)
+        snippets.append(RankedSnippets(groups, length=length, focus_key="near", seed=seed + 1))
+    return snippets
+
+
+def train_reward_model(
+    cfg: DictConfig, snippets: list[RankedSnippets]
+) -> tuple[RewardModel, dict[str, Any]]:
+    """Bradley-Terry on ranked snippets; every source of pairs has the same share of a batch."""
+    section, hidden = cfg.reward_model, hidden_entries(cfg)
+    train, held_out = zip(*(source.split(section.held_out) for source in snippets), strict=True)
+    model = make_reward_model(cfg)
+    loss = BradleyTerryLoss(model, label_smoothing=section.label_smoothing)
+    optimizer = torch.optim.AdamW(
+        loss.parameters(), lr=section.lr, weight_decay=section.weight_decay
+    )
+    share = section.batch_size // len(snippets)
+    with tqdm.tqdm(total=section.updates, desc="reward model", unit="update") as progress:
+        for update in range(1, section.updates + 1):
+            pairs = torch.cat([source.sample(share) for source in train])
+            for side in ("preferred", "other"):
+                # Weights behind zeros have no gradient: those that are zero stay so.
+                pairs[side, "observation"][..., hidden] = 0.0
+            out = loss(pairs)
+            optimizer.zero_grad()
+            out["loss_bradley_terry"].backward()
+            optimizer.step()
+            progress.update()
+            if update % 100 == 0:
+                progress.set_postfix(accuracy=f"{out['accuracy'].item():.2f}")
+    scores = held_out_accuracy(loss, held_out)
+    loss.reward_network_params.data.to_module(model)
+    return model.requires_grad_(False), scores
+
+
+@torch.no_grad()
+def held_out_accuracy(
+    loss: BradleyTerryLoss, held_out: Sequence[RankedSnippets], num_pairs: int = 8192
+) -> dict[str, Any]:
+    """Share of held-out pairs that R ranks right: of each source, and per gap between noise levels."""
+    names = ("noise pairs", "style pairs")
+    scores: dict[str, Any] = {
+        f"held_out_accuracy {name}": loss(source.sample(1024))["accuracy"].item()
+        for name, source in zip(names, held_out, strict=False)
+    }
+    pairs = held_out[0].sample(num_pairs)
+    gap = pairs["gap"].round(decimals=4)  # 0.5 - 0.35 and 0.35 - 0.2 are the same
+    scores["held_out_accuracy per noise gap"] = {
+        f"{value:g}": loss(pairs[gap == value])["accuracy"].item() for value in gap.unique()
+    }
+    return scores
+
+
+@torch.no_grad()
+def mean_scores(model: RewardModel, groups: list[tuple[float, TensorDictBase]]) -> list[float]:
+    """Mean R over the steps of each group."""
+    return [
+        model(data.select("observation", "action"))["demo_score"]
+        .squeeze(-1)[data["mask"]]
+        .mean()
+        .item()
+        for _, data in groups
+    ]
+
+
+def save_model(folder: Path, cfg: DictConfig, model: RewardModel, card: dict[str, Any]) -> None:
+    """Write the reward model and its card."""
+    save_reward_model(
+        folder,
+        model,
+        in_features=model.module.members[0][0].in_features,
+        num_cells=tuple(cfg.reward_model.num_cells),
+        num_members=cfg.reward_model.num_members,
+        card=metadata(cfg) | card,
+    )
