@@ -104,7 +104,7 @@ def ranked_snippets(
 def train_reward_model(
     cfg: DictConfig, snippets: list[RankedSnippets]
 ) -> tuple[RewardModel, dict[str, Any]]:
-    """Bradley-Terry on ranked snippets; every source of pairs has the same share of a batch."""
+    """Bradley-Terry on ranked snippets, first those of noise, then those of other styles."""
     section, hidden = cfg.reward_model, hidden_entries(cfg)
     train, held_out = zip(*(source.split(section.held_out) for source in snippets), strict=True)
     model = make_reward_model(cfg)
@@ -112,10 +112,13 @@ def train_reward_model(
     optimizer = torch.optim.AdamW(
         loss.parameters(), lr=section.lr, weight_decay=section.weight_decay
     )
-    share = section.batch_size // len(snippets)
+    others = round(cfg.style_negatives.share * section.batch_size) if len(snippets) > 1 else 0
+    shares = (section.batch_size - others, others)
     with tqdm.tqdm(total=section.updates, desc="reward model", unit="update") as progress:
         for update in range(1, section.updates + 1):
-            pairs = torch.cat([source.sample(share) for source in train])
+            pairs = torch.cat(
+                [source.sample(share) for source, share in zip(train, shares, strict=False)]
+            )
             for side in ("preferred", "other"):
                 # Weights behind zeros have no gradient: those that are zero stay so.
                 pairs[side, "observation"][..., hidden] = 0.0
