@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -141,7 +142,7 @@ def make_loss(
 def make_optimizers(
     cfg: DictConfig, loss: MOTD3Loss
 ) -> tuple[dict[str, torch.optim.Optimizer], dict[str, torch.optim.lr_scheduler.LRScheduler]]:
-    """Adam for each network; the rate decays geometrically from ``lr`` to ``final_lr_ratio * lr``."""
+    """Adam for each network, with a cosine from ``lr`` to ``final_lr_ratio * lr``."""
     optimizers = {
         "actor": torch.optim.Adam(
             loss.actor_network_params.flatten_keys().values(), lr=cfg.optim.lr, fused=True
@@ -153,7 +154,9 @@ def make_optimizers(
     batches = cfg.collector.total_frames / cfg.collector.frames_per_batch
 
     def decay(batch: int) -> float:
-        return cfg.optim.final_lr_ratio ** min(1.0, batch / batches)
+        share = min(1.0, batch / batches)
+        ratio = cfg.optim.final_lr_ratio
+        return ratio + (1 - ratio) * 0.5 * (1 + math.cos(math.pi * share))
 
     schedulers = {
         f"{name}_schedule": torch.optim.lr_scheduler.LambdaLR(optimizer, decay)
