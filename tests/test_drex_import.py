@@ -72,7 +72,7 @@ def distill(cfg: DictConfig, demonstrations: TensorDictBase) -> RewardModel:
     policy, _ = utils.clone_behaviour(cfg, demonstrations)
     noisy = [(0.0, demonstrations), *utils.noisy_rollouts(cfg, policy)]
     others = styles.other_styles(cfg) if cfg.style_negatives.rollouts else []
-    model, _ = ranking.train_reward_model(cfg, ranking.ranked_snippets(cfg, policy, noisy, others))
+    model, _ = ranking.train_reward_model(cfg, ranking.ranked_snippets(cfg, noisy, others))
     return model
 
 
@@ -89,9 +89,8 @@ def test_the_reward_model_prefers_the_style_of_the_file(driven, negatives):
     torch.manual_seed(0)
     model = distill(cfg, driven["demonstrations"])
     own = mean_score(model, driven["more"])
-    assert own > mean_score(model, driven["mirrored"])
+    assert own - mean_score(model, driven["mirrored"]) > 0.1
     if negatives:
-        # D-REX alone tells the sides apart (by 0.07 to 0.43, three seeds), but hardly how wide or how
-        # bent somebody passes.
+        # D-REX alone tells the sides apart, but hardly how wide or how bent somebody passes.
         contrast = styles.style_contrast(cfg, model)
         assert own - max(contrast.values()) > 0.25, (own, contrast)

@@ -45,7 +45,7 @@ def main(cfg: DictConfig) -> None:
         # The extension to D-REX: other ways to drive rank below the demonstrations.
         others = styles.other_styles(cfg) if cfg.style_negatives.rollouts else []
     with timeit("reward model"):
-        snippets = ranking.ranked_snippets(cfg, policy, noisy, others)
+        snippets = ranking.ranked_snippets(cfg, noisy, others)
         model, scores = ranking.train_reward_model(cfg, snippets)
     with timeit("diagnostics"):
         report = write_report(run_dir, cfg, model, noisy, scores)

@@ -10,8 +10,6 @@ import torch
 import tqdm
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
 
 from envs.policy_env import NUM_SECTORS, OBSERVATION_SIZE
 from torchrl_morl.data import RankedSnippets
@@ -62,31 +60,15 @@ def make_reward_model(cfg: DictConfig) -> RewardModel:
     return model
 
 
-@torch.no_grad()
-def differs(cfg: DictConfig, clone: TensorDictModuleBase, data: TensorDictBase) -> Tensor:
-    """Where trajectories ``[N, T]`` of another style begin a snippet that the clone would not drive.
-
-    Styles share parts of the way: what the clone of the demonstrations would do as well must not
-    rank below them. A snippet differs if the clone would act otherwise in some of its steps.
-    """
-    section = cfg.style_negatives
-    action = clone(data.select("observation"))["action"]
-    otherwise = ((action - data["action"]).abs() > section.tolerance).any(-1).float()
-    length = cfg.reward_model.snippet_length
-    ahead = torch.nn.functional.pad(otherwise, (0, length - 1)).unfold(-1, length, 1)
-    return ahead.mean(-1) > section.different_steps
-
-
 def ranked_snippets(
     cfg: DictConfig,
-    clone: TensorDictModuleBase,
     noisy: list[tuple[float, TensorDictBase]],
     styles: list[TensorDictBase],
 ) -> list[RankedSnippets]:
     """Pairs within the levels of noise and, for the extension, between demonstrated and other styles.
 
-    Those with other styles start where the human is not far and the style is another one. Noise
-    disturbs the whole way.
+    Departure and a long approach are common to all styles: those pairs start close to the human,
+    where styles differ. Noise disturbs the whole way.
     """
     section = cfg.reward_model
     length, seed = section.snippet_length, cfg.seed
@@ -94,17 +76,16 @@ def ranked_snippets(
     if styles:
         undisturbed = [(0.0, data) for quality, data in noisy if quality == 0.0]
         groups = undisturbed + [(-1.0, data) for data in styles]
-        for quality, data in groups:
-            start = data["human"][..., 0] < section.near_human
-            data.set("start", start & differs(cfg, clone, data) if quality else start)
-        snippets.append(RankedSnippets(groups, length=length, focus_key="start", seed=seed + 1))
+        for _, data in groups:
+            data.set("near", data["human"][..., 0] < section.near_human)
+        snippets.append(RankedSnippets(groups, length=length, focus_key="near", seed=seed + 1))
     return snippets
 
 
 def train_reward_model(
     cfg: DictConfig, snippets: list[RankedSnippets]
 ) -> tuple[RewardModel, dict[str, Any]]:
-    """Bradley-Terry on ranked snippets, first those of noise, then those of other styles."""
+    """Bradley-Terry on ranked snippets; every source of pairs has the same share of a batch."""
     section, hidden = cfg.reward_model, hidden_entries(cfg)
     train, held_out = zip(*(source.split(section.held_out) for source in snippets), strict=True)
     model = make_reward_model(cfg)
@@ -112,13 +93,10 @@ def train_reward_model(
     optimizer = torch.optim.AdamW(
         loss.parameters(), lr=section.lr, weight_decay=section.weight_decay
     )
-    others = round(cfg.style_negatives.share * section.batch_size) if len(snippets) > 1 else 0
-    shares = (section.batch_size - others, others)
+    share = section.batch_size // len(snippets)
     with tqdm.tqdm(total=section.updates, desc="reward model", unit="update") as progress:
         for update in range(1, section.updates + 1):
-            pairs = torch.cat(
-                [source.sample(share) for source, share in zip(train, shares, strict=False)]
-            )
+            pairs = torch.cat([source.sample(share) for source in train])
             for side in ("preferred", "other"):
                 # Weights behind zeros have no gradient: those that are zero stay so.
                 pairs[side, "observation"][..., hidden] = 0.0

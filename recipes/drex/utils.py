@@ -104,7 +104,6 @@ def clone_behaviour(
     )
     loss = BCLoss(policy, loss_function="l2")
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.cloning.lr)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, cfg.cloning.updates)
     order = torch.randperm(len(demonstrations), generator=generator)
     held_out = max(1, round(cfg.cloning.held_out * len(order)))
 
@@ -122,7 +121,6 @@ def clone_behaviour(
             optimizer.zero_grad()
             value.backward()
             optimizer.step()
-            schedule.step()
             progress.update()
             if update % 250 == 0 or update == cfg.cloning.updates:
                 with torch.no_grad():

@@ -130,8 +130,6 @@ def make_loss(
         noise_clip=cfg.loss.noise_clip,
         loss_function=cfg.loss.loss_function,
         target_selection=cfg.loss.target_selection,
-        # On a CPU two critics one after the other are an eighth faster than one batched product.
-        deactivate_vmap=True,
     )
     if cfg.loss.truncation_is_terminal:
         loss.set_keys(terminated="done")
