@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 import torch
+from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv
 
 from envs import NavigationEnv
-from envs.mjcf import LIDAR_HEIGHT
 
 from .peers_environment import (
     FRAME_SKIP,
     GOAL_RADIUS,
-    LIDAR_GROUPS,
     MAX_EPISODE_STEPS,
     MAX_RANGE,
     NUM_RAYS,
@@ -29,6 +29,9 @@ from .peers_environment import (
 # Steps after which the bare simulation goes back to its start: without episodes, robots would
 # push against boxes for ever.
 _BATCH_HORIZON = 50
+
+# Drawn before the measurement: random numbers are the policy's work.
+_NUM_ACTIONS = 256
 
 
 class Loop(Protocol):
@@ -45,30 +48,69 @@ class TorchRLLoop:
     def __init__(self, env: EnvBase) -> None:
         self.env = env
         self.data = env.reset()
+        self.actions = itertools.cycle(
+            [env.rand_action()["action"].clone() for _ in range(_NUM_ACTIONS)]
+        )
 
     def step(self) -> None:
-        _, self.data = self.env.step_and_maybe_reset(self.env.rand_action(self.data))
+        self.data.set("action", next(self.actions))
+        _, self.data = self.env.step_and_maybe_reset(self.data)
 
     def close(self) -> None:
         self.env.close()
 
 
+class EmptyEnv(EnvBase):
+    """The specs of a :class:`NavigationEnv` and nothing behind them: what TorchRL itself costs.
+
+    It observes the same at every step and earns nothing. Episodes are truncated, and reset, as in
+    the other environments.
+
+    Args:
+        env: whose specs to take.
+    """
+
+    batch_locked = True
+
+    def __init__(self, env: NavigationEnv) -> None:
+        super().__init__(batch_size=env.batch_size)
+        for name in ("observation_spec", "action_spec", "reward_spec", "full_done_spec"):
+            setattr(self, name, getattr(env, name).clone())
+        self.observed = dict(env.reset().select(*self.observation_spec.keys()).items())
+        self.reward = self.reward_spec.zero()
+        self.running = torch.zeros(env.num_envs, 1, dtype=torch.bool)
+        self.elapsed = np.array(first_elapsed(env.num_envs))[:, None]
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
+        if tensordict is not None:
+            self.elapsed[tensordict["_reset"].numpy()] = 0
+        return TensorDict(self.observed, batch_size=self.batch_size)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self.elapsed += 1
+        truncated = self.running
+        if self.elapsed.max() >= MAX_EPISODE_STEPS:
+            truncated = torch.from_numpy(self.elapsed >= MAX_EPISODE_STEPS)
+        ends = {"terminated": self.running, "truncated": truncated, "done": truncated}
+        # Without a look at the shapes, as the environments that TorchRL comes with.
+        return TensorDict._new_unsafe(
+            {**self.observed, "reward": self.reward, **ends}, batch_size=self.batch_size
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        pass
+
+
 class BatchLoop:
-    """The native calls of a step, physics and rays, with random controls: no TorchRL, no task."""
+    """Physics and lidar of a step, with random controls: no TorchRL, no task, no new tensors."""
 
     def __init__(self, env: NavigationEnv) -> None:
         env.reset()
-        self.batch = env.batch
+        self.batch, self.lidar, self.task = env.batch, env._lidar, env._task
         self.start = self.batch.state.copy()
         self.qpos, self.ctrl = self.batch.bind("qpos"), self.batch.bind("ctrl")
         self.high = np.array([env.robot.max_speed, env.robot.max_turn_rate])
         self.low = np.array([0.0, -env.robot.max_turn_rate])
-        angles = 2 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
-        self.rays = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
-        self.turn = np.zeros((self.batch.nsim, 2, 3))
-        self.origin = np.full((self.batch.nsim, NUM_RAYS, 3), LIDAR_HEIGHT)
-        self.direction = np.zeros_like(self.origin)
-        self.robot = env.model.body("robot").id
         self.rng = np.random.default_rng(0)
         self.steps = 0
 
@@ -78,12 +120,11 @@ class BatchLoop:
         self.steps += 1
         self.ctrl[:, :2] = self.rng.uniform(self.low, self.high, (self.batch.nsim, 2))
         self.batch.step(nstep=FRAME_SKIP)
-        cos, sin = np.cos(self.qpos[:, 2]), np.sin(self.qpos[:, 2])
-        self.turn[:, 0, 0] = self.turn[:, 1, 1] = cos
-        self.turn[:, 0, 1], self.turn[:, 1, 0] = sin, -sin
-        np.matmul(self.rays, self.turn, out=self.direction)
-        self.origin[..., :2] = self.qpos[:, None, :2]
-        self.batch.ray(self.origin, self.direction, geomgroup=LIDAR_GROUPS, bodyexclude=self.robot)
+        position, cos, sin = self.qpos[:, :2], np.cos(self.qpos[:, 2]), np.sin(self.qpos[:, 2])
+        self.task.locate(position)
+        x, y = self.task.way[1:, :, 0], self.task.way[1:, :, 1]
+        obstacles = np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
+        self.lidar.cast(position, cos, sin, obstacles, self.task.radius)
 
     def close(self) -> None:
         pass
@@ -139,6 +180,10 @@ def _parallel_loop(make: Callable[..., EnvBase], num_envs: int, num_threads: int
     return TorchRLLoop(ParallelEnv(num_envs, envs, mp_start_method="fork"))
 
 
+def _empty_loop(num_envs: int, num_threads: int) -> Loop:
+    return TorchRLLoop(EmptyEnv(navigation_env(num_envs, num_threads)))
+
+
 def _batch_loop(num_envs: int, num_threads: int) -> Loop:
     return BatchLoop(navigation_env(num_envs, num_threads))
 
@@ -161,6 +206,7 @@ VARIANTS: dict[str, Callable[[int, int], Loop]] = {
     "MujocoEnv, one mj_multiRay": _mujoco_loop,
     **{name: functools.partial(_serial_loop, make) for name, make in SERIAL.items()},
     **{name: functools.partial(_parallel_loop, make) for name, make in PARALLEL.items()},
+    "TorchRL without simulation": _empty_loop,
     "Batch without TorchRL": _batch_loop,
 }
 """What is measured: name, and ``make(num_envs, num_threads)``."""

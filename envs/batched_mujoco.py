@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import math
 from typing import Any, ClassVar, NamedTuple
 
 import mujoco
@@ -103,12 +104,14 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
         self.frame_skip = frame_skip
         self.max_episode_steps = max_episode_steps
         self.dtype = dtype
+        # What NumPy computes results in; PyTorch has types that NumPy lacks.
+        self._array_dtype = np.float32 if dtype is torch.float32 else np.float64
         self.snapshots = snapshots
         self._init_pixels(from_pixels, render_width, render_height, camera)
         self.model = self._make_model()
         self._open_batch()
         self._elapsed = torch.zeros(num_envs, 1, dtype=torch.int64)
-        self._blank: TensorDictBase | None = None
+        self._checked = False
         self.rng = torch.Generator()
         # torch.seed() would reseed the caller's global generator.
         self.set_seed(self.rng.seed() % 2**31 if seed is None else seed)
@@ -253,12 +256,11 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
 
     def _observe(self, ids: Tensor | None = None) -> dict[str, Tensor | TensorDictBase]:
         """Everything observed by the environments ``ids``, as new tensors."""
-        rows = slice(None) if ids is None else ids
         out = self._make_obs(ids)
         if self.snapshots:
-            for name in self._snapshot_fields:
-                out[name] = self._view[name][rows].clone()
-            out["elapsed"] = self._elapsed[rows].clone()
+            state = {name: self._view[name] for name in self._snapshot_fields}
+            for name, values in {**state, "elapsed": self._elapsed}.items():
+                out[name] = values.clone() if ids is None else values[ids]
         if self.from_pixels:
             out["pixels"] = self._observe_pixels(ids)
         return out
@@ -268,7 +270,7 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
         if mask is None or bool(mask.all()):
             ids = torch.arange(self.num_envs)
         else:
-            ids = mask.reshape(self.num_envs).cpu().nonzero().squeeze(-1)
+            ids = torch.from_numpy(np.flatnonzero(mask.cpu().numpy()))
         set_state = bool(kwargs.get("set_state")) and tensordict is not None
         if set_state:
             given = set(tensordict.keys(include_nested=True, leaves_only=True))
@@ -293,43 +295,55 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
             out = TensorDict(rows, batch_size=self.batch_size)
         else:
             # Only the rows being reset are read from the result; the others stay what they were.
-            if self._blank is None:
-                self._blank = self.observation_spec.zero().to("cpu")
-            out = self._blank.clone()
+            out = TensorDict(rows, batch_size=ids.shape).apply(
+                lambda values: values.new_zeros(self.num_envs, *values.shape[1:]).index_copy_(
+                    0, ids, values
+                ),
+                batch_size=self.batch_size,
+            )
             if self.from_pixels:
                 # A VideoRecorder does read them: the others keep their last picture.
                 out["pixels"] = self._pixels.clone()
-            for key, values in rows.items():
-                out.get(key)[ids] = values
         return out.to(self.device) if self.device is not None else out
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict.get(self.action_key).to("cpu")
-        if not torch.isfinite(action).all():
-            row = int((~torch.isfinite(action)).flatten(1).any(-1).nonzero()[0])
+        action = tensordict.get(self.action_key).detach().to("cpu")
+        # NaN and infinity survive a sum, which is the cheaper question.
+        if not math.isfinite(action.sum()):
+            self._refuse_non_finite(action)
+        # On so few numbers, NumPy takes a fraction of PyTorch's time.
+        before = PhysicsState(*(torch.from_numpy(view.numpy().copy()) for view in self._state()))
+        self._view["ctrl"].copy_(self._prepare_ctrl(action))
+        self._before_physics()
+        self.batch.step(nstep=self.frame_skip)
+        elapsed = self._elapsed.numpy()
+        elapsed += 1
+        after = self._state()
+        terminated = self._compute_terminated(before, after)
+        ended = terminated.numpy()
+        truncated = (elapsed >= self.max_episode_steps) & ~ended
+        out = self._observe()
+        out["reward"] = self._compute_reward(before, action, after).to(self.dtype)
+        out["terminated"] = terminated
+        out["truncated"] = torch.from_numpy(truncated)
+        out["done"] = torch.from_numpy(truncated | ended)
+        if self._checked:
+            # Without a look at the shapes, as the environments that TorchRL comes with.
+            out = TensorDict._new_unsafe(out, batch_size=self.batch_size)
+        else:
+            out = TensorDict(out, batch_size=self.batch_size)
+            self._checked = True
+        return out.to(self.device) if self.device is not None else out
+
+    @staticmethod
+    def _refuse_non_finite(action: Tensor) -> None:
+        finite = torch.isfinite(action).flatten(1).all(-1)
+        if not finite.all():
+            row = int((~finite).nonzero()[0])
             raise ValueError(
                 f"The action of environment {row} is {action[row].tolist()}: actions must be "
                 "finite. Check the policy's input and weights for NaN."
             )
-        before = PhysicsState(*(view.clone() for view in self._state()))
-        self._view["ctrl"][...] = self._prepare_ctrl(action)
-        self._before_physics()
-        self.batch.step(nstep=self.frame_skip)
-        self._elapsed += 1
-        after = self._state()
-        terminated = self._compute_terminated(before, after)
-        truncated = (self._elapsed >= self.max_episode_steps) & ~terminated
-        out = TensorDict(
-            {
-                **self._observe(),
-                "reward": self._compute_reward(before, action, after).to(self.dtype),
-                "terminated": terminated,
-                "truncated": truncated,
-                "done": terminated | truncated,
-            },
-            batch_size=self.batch_size,
-        )
-        return out.to(self.device) if self.device is not None else out
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:

@@ -2,46 +2,53 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from .geometry import wrap_angle
+from .geometry import arctan2, cos_sin
 from .mjcf import Drive
 from .robots import Robot
 
 
-def pose_to_qpos(pose: Tensor, drive: Drive, nq: int) -> Tensor:
+def pose_to_qpos(pose: np.ndarray, drive: Drive, nq: int) -> np.ndarray:
     """Coordinates ``[n, nq]`` of robots that stand at ``pose`` [n, 3] (metres, radians)."""
     if drive == "planar":
         return pose
-    qpos = pose.new_zeros(len(pose), nq)
+    qpos = np.zeros((len(pose), nq))
     qpos[:, :2] = pose[:, :2]
     qpos[:, 3:7] = yaw_quaternion(pose[:, 2])
     return qpos
 
 
-def qpos_to_pose(qpos: Tensor, drive: Drive) -> Tensor:
-    """Pose (x, y, heading in (-pi, pi]) of every robot in ``qpos`` [n, nq]."""
+def qpos_to_pose(qpos: np.ndarray, drive: Drive) -> np.ndarray:
+    """Pose (x, y, heading in (-pi, pi]) of every robot in ``qpos`` [n, nq], as a new array."""
     if drive == "planar":
-        yaw = qpos[:, 2]
+        pose = qpos.copy()
     else:
-        w, x, y, z = qpos[:, 3:7].unbind(-1)
-        yaw = torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return torch.cat((qpos[:, :2], wrap_angle(yaw)[:, None]), dim=-1)
+        w, x, y, z = qpos[:, 3:7].T
+        pose = np.empty((len(qpos), 3))
+        pose[:, :2] = qpos[:, :2]
+        pose[:, 2] = arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    yaw = np.remainder(pose[:, 2] + np.pi, 2 * np.pi) - np.pi
+    yaw[yaw == -np.pi] += 2 * np.pi
+    pose[:, 2] = yaw
+    return pose
 
 
-def velocity_to_ctrl(velocity: Tensor, drive: Drive, robot: Robot) -> Tensor:
+def velocity_to_ctrl(velocity: np.ndarray, drive: Drive, robot: Robot) -> np.ndarray:
     """Controls ``[n, nu]`` for forward speed (m/s) and turn rate (rad/s) ``[n, 2]``."""
     if drive == "planar":
         # The third servo keeps the base from slipping sideways.
-        return torch.nn.functional.pad(velocity, (0, 1))
-    speed, turn = velocity.unbind(-1)
+        ctrl = np.zeros((len(velocity), 3))
+        ctrl[:, :2] = velocity
+        return ctrl
+    speed, turn = velocity.T
     half = robot.wheel_separation / 2
-    wheels = torch.stack((speed - half * turn, speed + half * turn), dim=-1)
+    wheels = np.stack((speed - half * turn, speed + half * turn), axis=-1)
     return wheels / robot.wheel_radius
 
 
-def yaw_quaternion(yaw: Tensor) -> Tensor:
+def yaw_quaternion(yaw: np.ndarray) -> np.ndarray:
     """Rotations about the vertical axis: radians ``[*B]`` -> ``[*B, 4]``."""
-    zero = torch.zeros_like(yaw)
-    return torch.stack(((yaw / 2).cos(), zero, zero, (yaw / 2).sin()), dim=-1)
+    quaternion = np.zeros((*yaw.shape, 4))
+    quaternion[..., 0], quaternion[..., 3] = cos_sin(yaw / 2)
+    return quaternion

@@ -10,6 +10,7 @@ import math
 from typing import Any, ClassVar
 
 import mujoco
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
@@ -17,19 +18,16 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
 from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl, yaw_quaternion
-from .lidar import Lidar
+from .geometry import arctan2, cos_sin
+from .lidar import MIN_RANGE, Lidar
 from .mjcf import Drive, navigation_mjcf, time_step
 from .perturbation import Perturbation
 from .rendering import Camera
 from .robots import Robot, get_robot
-from .scenes import HUMAN_RADIUS, Scene, get_scene
+from .scenes import Scene, get_scene
+from .task import NavigationTask
 from .views import chase_view, top_view
 
-GOAL_REWARD = 125.0
-COLLISION_REWARD = -1000.0
-STYLE_PENALTY = -10.0
-DISTANCE_THRESHOLD = 2.0
-DISTANCE_MINIMUM = 0.3
 SCENE_BLOCK = 64
 
 
@@ -155,7 +153,12 @@ class NavigationEnv(BatchedMujocoEnv):
             body=self._robot_body,
             num_rays=self.num_rays,
             max_range=self.max_range,
+            dtype=np.float64 if self._has_range_faults else self._array_dtype,
         )
+
+    @property
+    def _has_range_faults(self) -> bool:
+        return bool(self.perturbation.range_noise or self.perturbation.dropout)
 
     def __getstate__(self) -> dict[str, Any]:
         state = super().__getstate__()
@@ -201,19 +204,15 @@ class NavigationEnv(BatchedMujocoEnv):
             spec["scene"] = scene
             if self.perturbation.latency:
                 spec["pending_action"] = Unbounded(shape=(n, 2), dtype=torch.float64)
-        # The episode's task, as ground truth on the CPU: plain tensors, which cost less to index.
-        self._human_pose = spec["human_pose"].zero()
-        self._goal, self._human_goal, self._boxes = (
-            scene[key].zero() for key in ("goal", "human_goal", "boxes")
+        self._task = NavigationTask(
+            n,
+            self.scene.num_boxes,
+            robot_radius=self.robot.radius,
+            goal_radius=self.goal_radius,
         )
-        self._box_axes = torch.zeros(n, self.scene.num_boxes, 2, 2, dtype=torch.float64)
-        # From the robot to goal and human, and how far they are.
-        self._way = torch.zeros(2, n, 2, dtype=torch.float64)
-        self._distance = torch.zeros(2, n, dtype=torch.float64)
-        self._flags = torch.zeros(n, 3, dtype=torch.bool)
         self._pending = torch.zeros(n, 2, dtype=torch.float64)
         # Where robot and human were at the start: pictures show it.
-        self._began = torch.zeros(n, 2, 2, dtype=torch.float64)
+        self._began = np.zeros((n, 2, 2))
         return spec
 
     def _make_state_spec(self, snapshot: Composite, observation: Composite) -> Composite:
@@ -227,63 +226,60 @@ class NavigationEnv(BatchedMujocoEnv):
     def _sample_initial_state(
         self, ids: Tensor, tensordict: TensorDictBase | None
     ) -> tuple[Tensor, Tensor]:
-        sampled = self._next_scenes(ids.numel())
-        self._human_pose[ids] = sampled["human"]
-        self._goal[ids] = sampled["goal"]
-        self._human_goal[ids] = sampled["human_goal"]
-        self._boxes[ids] = sampled["boxes"]
-        self._pending[ids] = 0.0
+        rows, sampled = ids.numpy(), self._next_scenes(ids.numel())
+        self._task.human_pose[rows] = sampled["human"]
+        self._task.goal[rows] = sampled["goal"]
+        self._task.human_goal[rows] = sampled["human_goal"]
+        self._task.boxes[rows] = sampled["boxes"]
+        self._pending.numpy()[rows] = 0.0
         qpos = pose_to_qpos(sampled["start"], self.drive, self.model.nq)
-        return qpos, torch.zeros(ids.numel(), self.model.nv, dtype=torch.float64)
+        return torch.from_numpy(qpos), torch.zeros(len(rows), self.model.nv, dtype=torch.float64)
 
-    def _next_scenes(self, n: int) -> TensorDictBase:
+    def _next_scenes(self, n: int) -> dict[str, np.ndarray]:
         """The next ``n`` scenes of the stream that the seed fixes.
 
         They are drawn in blocks, since a block costs little more than a single scene.
         """
-        while self._scenes is None or len(self._scenes) < n:
+        while self._scenes is None or len(self._scenes["start"]) < n:
             block = self.scene.sample(SCENE_BLOCK, self.robot.radius, self.rng)
-            self._scenes = block if self._scenes is None else torch.cat((self._scenes, block))
-        taken, self._scenes = self._scenes[:n], self._scenes[n:]
+            block = {key: values.numpy() for key, values in block.items()}
+            if self._scenes is not None:
+                block = {key: np.concatenate((self._scenes[key], block[key])) for key in block}
+            self._scenes = block
+        taken = {key: values[:n] for key, values in self._scenes.items()}
+        self._scenes = {key: values[n:] for key, values in self._scenes.items()}
         return taken
 
     def _load_snapshot(self, ids: Tensor, tensordict: TensorDictBase) -> None:
         super()._load_snapshot(ids, tensordict)
+        rows = ids.numpy()
         for key, values in (
-            ("human_pose", self._human_pose),
-            (("scene", "goal"), self._goal),
-            (("scene", "human_goal"), self._human_goal),
-            (("scene", "boxes"), self._boxes),
+            ("human_pose", self._task.human_pose),
+            (("scene", "goal"), self._task.goal),
+            (("scene", "human_goal"), self._task.human_goal),
+            (("scene", "boxes"), self._task.boxes),
         ):
-            values[ids] = tensordict.get(key).cpu()[ids]
+            values[rows] = tensordict.get(key).cpu().numpy()[rows]
         if self.perturbation.latency:
             self._pending[ids] = tensordict.get("pending_action").cpu()[ids]
 
     def _on_reset(self, ids: Tensor) -> None:
-        self._flags[ids] = False
-        self._began[ids, 0] = self._view["qpos"][ids, :2]
-        self._began[ids, 1] = self._human_pose[ids, :2]
-        self._locate()
-        # Mocap bodies of all environments: what has not changed is written again, which costs
-        # less than picking rows.
-        self._view["mocap_pos"][:, self._mocap_goal, :2] = self._goal
-        self._place_human()
+        rows, task, robots = ids.numpy(), self._task, self._view["qpos"].numpy()[:, :2]
+        task.begin(rows, robots)
+        self._began[rows, 0] = robots[rows]
+        self._began[rows, 1] = task.human_pose[rows, :2]
+        position, rotation = self._view["mocap_pos"].numpy(), self._view["mocap_quat"].numpy()
+        position[rows, self._mocap_goal, :2] = task.goal[rows]
+        position[rows, self._mocap_human, :2] = task.human_pose[rows, :2]
+        rotation[rows, self._mocap_human] = yaw_quaternion(task.human_pose[rows, 2])
         if not self._box_geoms:
             return
-        yaw = self._boxes[..., 2]
-        cos, sin = yaw.cos(), yaw.sin()
-        torch.stack((cos, sin, -sin, cos), dim=-1, out=self._box_axes.flatten(-2))
-        self._view["mocap_pos"][:, self._mocap_boxes, :2] = self._boxes[..., :2]
-        self._view["mocap_quat"][:, self._mocap_boxes] = yaw_quaternion(yaw)
+        boxes, each = task.boxes[rows], rows[:, None]
+        position[each, self._mocap_boxes, :2] = boxes[..., :2]
+        rotation[each, self._mocap_boxes] = yaw_quaternion(boxes[..., 2])
         # Bounding volumes follow the new sizes only through set_const.
-        rows = ids.numpy()
-        self._box_sizes[rows[:, None], self._box_geoms, :2] = self._boxes[ids, :, 3:].numpy()
+        self._box_sizes[each, self._box_geoms, :2] = boxes[..., 3:]
         self.batch.set_const(rows)
-
-    def _place_human(self) -> None:
-        x_y, yaw = self._human_pose[:, :2], self._human_pose[:, 2]
-        self._view["mocap_pos"][:, self._mocap_human, :2] = x_y
-        self._view["mocap_quat"][:, self._mocap_human] = yaw_quaternion(yaw)
 
     # --- step ----------------------------------------------------------------------------------
 
@@ -293,95 +289,91 @@ class NavigationEnv(BatchedMujocoEnv):
             action, self._pending = self._pending, action.clone()
         low, high = self._action_low, self._action_high
         action = self.perturbation.disturb_velocity(action, low, high, self._fault_rng)
-        return velocity_to_ctrl(action.clamp(low, high), self.drive, self.robot)
+        velocity = action.numpy().clip(low.numpy(), high.numpy())
+        return torch.from_numpy(velocity_to_ctrl(velocity, self.drive, self.robot))
 
     def _before_physics(self) -> None:
-        if not self.scene.human_speed:
-            return
-        human = self._human_pose
-        way = self._human_goal - human[:, :2]
-        left = way.norm(dim=-1, keepdim=True)
-        step = torch.minimum(left, torch.full_like(left, self.scene.human_speed * 0.2))
-        human[:, :2] += torch.where(left > 0, way / left.clamp_min(1e-9) * step, 0.0)
-        self._place_human()
-
-    def _locate(self) -> None:
-        """Where goal and human are, for the ends of episodes, rewards and observations alike."""
-        points = torch.stack((self._goal, self._human_pose[:, :2]))
-        torch.sub(points, self._view["qpos"][:, :2], out=self._way)
-        torch.linalg.vector_norm(self._way, dim=-1, out=self._distance)
+        if self.scene.human_speed:
+            self._task.walk(self.scene.human_speed * self.CONTROL_PERIOD)
+            human = self._task.human_pose[:, :2]
+            self._view["mocap_pos"].numpy()[:, self._mocap_human, :2] = human
 
     def _compute_terminated(self, state: PhysicsState, next_state: PhysicsState) -> Tensor:
-        self._locate()
-        goal, human = self._distance
-        hit_human = human <= self.robot.radius + HUMAN_RADIUS
-        hit_box = self._touches_box(next_state.qpos[:, :2]) & ~hit_human
-        reached = (goal <= self.goal_radius) & ~(hit_human | hit_box)
-        torch.stack((reached, hit_human, hit_box), dim=-1, out=self._flags)
-        return self._flags.any(-1, keepdim=True)
-
-    def _touches_box(self, position: Tensor) -> Tensor:
-        """Whether robots at ``[n, 2]`` overlap a box of theirs."""
-        centre, half = self._boxes[..., :2], self._boxes[..., 3:]
-        local = (self._box_axes * (position[:, None] - centre)[..., None, :]).sum(-1)
-        outside = (local.abs() - half).clamp_min(0.0)
-        return (torch.linalg.vector_norm(outside, dim=-1) <= self.robot.radius).any(-1)
+        self._task.locate(next_state.qpos.numpy()[:, :2])
+        return torch.from_numpy(self._task.end())
 
     def _compute_reward(
         self, state: PhysicsState, action: Tensor, next_state: PhysicsState
     ) -> Tensor:
-        before = torch.linalg.vector_norm(self._goal - state.qpos[:, :2], dim=-1)
-        after, human = self._distance
-        collided = self._flags[:, 1:].any(-1)
-        core = GOAL_REWARD * (before - after) + COLLISION_REWARD * collided
-        closeness = (DISTANCE_THRESHOLD - human).clamp_min(0.0)
-        distance = STYLE_PENALTY * (closeness / (DISTANCE_THRESHOLD - DISTANCE_MINIMUM)) ** 2
-        efficiency = torch.full_like(core, STYLE_PENALTY)
-        return torch.stack((core, distance, efficiency), dim=-1)
+        reward = self._task.reward(state.qpos.numpy()[:, :2])
+        return torch.from_numpy(reward.astype(self._array_dtype, copy=False))
 
     # --- observation ---------------------------------------------------------------------------
 
     def _make_obs(self, ids: Tensor | None = None) -> dict[str, Tensor | TensorDictBase]:
-        rows = slice(None) if ids is None else ids
-        pose = qpos_to_pose(self._view["qpos"][rows], self.drive)
-        cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
-        x, y = self._way[:, rows].unbind(-1)
-        bearing = torch.atan2(cos * y - sin * x, cos * x + sin * y)
-        goal, human = torch.stack((self._distance[:, rows], bearing), dim=-1).to(self.dtype)
-        flags = self._flags[rows].clone()
-        ranges = self._lidar.cast(pose[:, :2], cos, sin, ids)
-        ranges = self.perturbation.disturb_ranges(ranges, self.max_range, self._fault_rng)
+        ids = None if ids is None else ids.numpy()
+        rows, task = slice(None) if ids is None else ids, self._task
+        pose = qpos_to_pose(self._view["qpos"].numpy()[rows], self.drive)
+        cos, sin = cos_sin(pose[:, 2])
+        x, y = task.way[:, rows, 0], task.way[:, rows, 1]
+        # Of goal, human and boxes, in the robot's frame.
+        ahead, left = cos * x + sin * y, cos * y - sin * x
+        polar = np.empty((2, len(pose), 2), self._array_dtype)
+        polar[..., 0] = task.distance[:, rows]
+        polar[..., 1] = arctan2(left[:2], ahead[:2])
+        goal, human = (torch.from_numpy(values).to(self.dtype) for values in polar)
+        flags = task.flags[rows].copy()
         out = {
-            "scan": self._lidar.scan(ranges).to(self.dtype),
+            "scan": self._scan(pose, cos, sin, np.stack((ahead[1:], left[1:]), axis=-1), ids),
             "goal": goal,
             "human": human,
-            "success": flags[:, 0:1],
-            "collision_human": flags[:, 1:2],
-            "collision_obstacle": flags[:, 2:3],
-            "pose": pose,
-            "human_pose": self._human_pose[rows].clone(),
+            "success": torch.from_numpy(flags[:, 0:1]),
+            "collision_human": torch.from_numpy(flags[:, 1:2]),
+            "collision_obstacle": torch.from_numpy(flags[:, 2:3]),
+            "pose": torch.from_numpy(pose),
+            "human_pose": torch.from_numpy(task.human_pose[rows].copy()),
         }
         if self.snapshots:
-            scene = {"goal": self._goal, "human_goal": self._human_goal, "boxes": self._boxes}
+            scene = {"goal": task.goal, "human_goal": task.human_goal, "boxes": task.boxes}
             out["scene"] = TensorDict(
-                {key: values[rows].clone() for key, values in scene.items()},
-                batch_size=pose.shape[:1],
+                {key: torch.from_numpy(values[rows].copy()) for key, values in scene.items()},
+                batch_size=[len(pose)],
             )
         if self.snapshots and self.perturbation.latency:
             out["pending_action"] = self._pending[rows].clone()
         return out
 
+    def _scan(
+        self,
+        pose: np.ndarray,
+        cos: np.ndarray,
+        sin: np.ndarray,
+        obstacles: np.ndarray,
+        ids: np.ndarray | None,
+    ) -> Tensor:
+        radius = self._task.radius if ids is None else self._task.radius[:, ids]
+        ranges = self._lidar.cast(pose[:, :2], cos, sin, obstacles, radius, ids)
+        if self._has_range_faults:
+            ranges = self.perturbation.disturb_ranges(
+                torch.from_numpy(ranges), self.max_range, self._fault_rng
+            )
+            ranges = ranges.clamp(MIN_RANGE, self.max_range).numpy()
+        return torch.from_numpy(self._lidar.scan(ranges)).to(self.dtype)
+
     def _camera(self, camera: str | Camera, index: int, aspect: float) -> Camera | str:
         if camera not in ("top", "chase"):
             return super()._camera(camera, index, aspect)
-        pose = qpos_to_pose(self._view["qpos"][index : index + 1], self.drive)[0]
+        qpos = self._view["qpos"].numpy()[index : index + 1]
+        pose = torch.from_numpy(qpos_to_pose(qpos, self.drive)[0])
         if camera == "chase":
             return chase_view(pose, self.robot)
-        points = torch.stack((*self._began[index], self._goal[index], self._human_goal[index]))
-        return top_view(points, self._boxes[index], pose[:2], aspect)
+        task = self._task
+        points = np.stack((*self._began[index], task.goal[index], task.human_goal[index]))
+        boxes = torch.from_numpy(task.boxes[index])
+        return top_view(torch.from_numpy(points), boxes, pose[:2], aspect)
 
     def _set_seed(self, seed: int | None) -> None:
         super()._set_seed(seed)
         if seed is not None:
-            self._scenes: TensorDictBase | None = None
+            self._scenes: dict[str, np.ndarray] | None = None
             self._fault_rng.manual_seed(seed + 1)

@@ -435,3 +435,28 @@ def test_an_action_that_is_not_finite_names_its_environment(bad):
         env.step(start.clone().set("action", action))
     # Nothing happened: the episode can go on.
     assert (_drive(env, start, env.action_spec.zero()[None])[0]["elapsed"] == 1).all()
+
+
+def test_huge_actions_are_finite():
+    env = make_env(num_envs=3)
+    action = torch.full((3, 2), torch.finfo(env.dtype).max)  # their sum is infinite
+    assert env.step(env.reset().set("action", action))["next", "qpos"].isfinite().all()
+
+
+def test_actions_may_require_gradients():
+    env = make_env(num_envs=3)
+    action = env.action_spec.rand().requires_grad_()
+    rollout = env.step(env.reset().set("action", action))
+    assert not any(value.requires_grad for value in rollout["next"].values(True, True))
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
+def test_types_of_observations(dtype):
+    """NumPy lacks one of them."""
+    same, exact = (make_env(num_envs=3, dtype=kind) for kind in (dtype, torch.float64))
+    actions = _actions(exact, 5).to(dtype)
+    rollout = _drive(same, same.reset(), actions)
+    expected = _drive(exact, exact.reset(), actions.double())
+    for first, second in zip(rollout, expected, strict=True):
+        for key in ("scan", "goal", "human", "reward"):
+            assert torch.equal(first[key], second[key].to(dtype))

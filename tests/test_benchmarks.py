@@ -20,9 +20,11 @@ from benchmarks.environment import Case, main, plan, speed_up
 from benchmarks.environment_variants import (
     OURS,
     VARIANTS,
+    EmptyEnv,
     TorchRLLoop,
     first_elapsed,
     mujoco_envs,
+    navigation_env,
     navigation_loop,
 )
 from benchmarks.peers_environment import (
@@ -129,6 +131,21 @@ def test_competitor_keeps_its_specs(make):
     assert env.reward_spec == ours.reward_spec
     assert env.frame_skip == ours.frame_skip
     assert env.max_episode_steps == ours.max_episode_steps == MAX_EPISODE_STEPS
+
+
+def test_the_empty_environment_has_our_specs_and_resets():
+    num_envs = 4
+    ours = navigation_env(num_envs, 1)
+    check_env_specs(EmptyEnv(ours))
+    loop = TorchRLLoop(EmptyEnv(ours))
+    for name in ("observation_spec", "action_spec", "reward_spec", "full_done_spec"):
+        assert getattr(loop.env, name) == getattr(ours, name)
+    assert set(loop.data.keys()) == set(ours.reset().keys())
+    for step in range(1, MAX_EPISODE_STEPS + 1):
+        loop.step()
+        expected = [(step + first) % MAX_EPISODE_STEPS for first in first_elapsed(num_envs)]
+        assert loop.env.elapsed.flatten().tolist() == expected
+        assert not loop.data["done"].any()
 
 
 def test_first_episodes_end_one_by_one():

@@ -9,8 +9,11 @@ import pytest
 import torch
 
 from envs.geometry import (
+    arctan2,
     box_box_distance,
     box_corners,
+    cos_sin,
+    norm,
     point_box_distance,
     rotate,
     segment_box_distance,
@@ -209,3 +212,14 @@ def test_segments_against_sampled_points():
         sampled = _signed_distance_oracle(a + share * (b - a), box).clip(min=0).min()
         reach = np.linalg.norm(b - a) / (steps - 1) / 2
         assert sampled - reach <= value <= sampled + 1e-12
+
+
+@pytest.mark.parametrize("shape", [(0,), (1,), (2, 37)])
+def test_functions_of_arrays(shape):
+    x, y = np.random.default_rng(0).normal(size=(2, *shape))
+    for values in ((x, y), (x.T, y.T)):
+        np.testing.assert_allclose(norm(np.stack(values, -1)), np.hypot(*values), rtol=1e-15)
+        np.testing.assert_allclose(arctan2(*values), np.arctan2(*values), rtol=1e-15)
+    cos, sin = cos_sin(x)
+    np.testing.assert_allclose(cos, np.cos(x), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(sin, np.sin(x), rtol=0, atol=1e-15)

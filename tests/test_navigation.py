@@ -11,6 +11,7 @@ import torch
 from tensordict import TensorDict
 
 from envs import HSR, HUMAN_RADIUS, TURTLEBOT2, NavigationEnv, Perturbation
+from envs.mjcf import LIDAR_HEIGHT
 
 F64 = torch.float64
 # Float64 leaves rounding of the simulation alone in comparisons with closed forms.
@@ -324,6 +325,49 @@ def test_the_lidar_against_analytic_intersections(scene, robot, drive):
         for _ in range(3):
             current = env.step(current.set("action", env.action_spec.rand()))["next"]
     assert hits > 1_000
+
+
+def _every_ray(env, pose: np.ndarray) -> np.ndarray:
+    """The scan of robots at ``pose`` [N, 3] if no ray is left out."""
+    forward = np.stack((np.cos(pose[:, 2]), np.sin(pose[:, 2]), np.zeros(len(pose))), axis=-1)
+    origin = np.array([0, 0, LIDAR_HEIGHT]) + pose * (1, 1, 0) + env.robot.lidar_offset * forward
+    relative = 2 * math.pi * np.arange(env.num_rays) / env.num_rays
+    angle = pose[:, 2:] + relative
+    ranges, _ = env.batch.ray(
+        origin[:, None],
+        np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=-1),
+        geomgroup=[1, 0, 0, 0, 0, 0],
+        bodyexclude=env.model.body("robot").id,
+    )
+    ranges[ranges < 0] = env.max_range
+    from_heading = np.minimum(relative, 2 * math.pi - relative)
+    ranges[:, from_heading > env.robot.lidar_fov / 2 + 1e-6] = env.max_range
+    return ranges.clip(1e-3, env.max_range)
+
+
+@pytest.mark.parametrize("robot", ["turtlebot2", "hsr"])
+@pytest.mark.parametrize("scene", ["static", "corridor", "empty"])
+@pytest.mark.parametrize("num_rays", [720, 101, 4])
+def test_rays_that_are_not_cast_would_meet_nothing(num_rays, scene, robot):
+    env = make_env(num_envs=40, scene=scene, robot=robot, num_rays=num_rays)
+    generator = np.random.default_rng(0)
+    for _ in range(5):
+        start = env.reset()
+        # From inside an obstacle to out of its sight.
+        centres = torch.cat((start["human_pose"][:, None, :2], start["scene", "boxes"][..., :2]), 1)
+        away = generator.uniform(-math.pi, math.pi, 40)
+        distance = generator.uniform(0.0, env.max_range + 1.0, 40)
+        pose = np.stack((np.cos(away), np.sin(away), np.zeros(40)), -1) * distance[:, None]
+        pose[:, :2] += centres[range(40), generator.integers(centres.shape[1], size=40)].numpy()
+        pose[:, 2] = generator.uniform(-math.pi, math.pi, 40)
+        start["qpos"] = torch.from_numpy(pose)
+        seen = env.reset(start, set_state=True)
+        expected = _every_ray(env, seen["pose"].numpy())
+        np.testing.assert_allclose(seen["scan"].numpy(), expected, rtol=0, atol=1e-9)
+        # Some of the environments only, other calls.
+        mask = torch.from_numpy(generator.random((40, 1)) < 0.2)
+        again = env.reset(seen.clone().set("_reset", mask), set_state=True)
+        torch.testing.assert_close(again["scan"], seen["scan"], rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, -2.5])

@@ -1,0 +1,104 @@
+"""The navigation task in numbers: where everything is, when episodes end, what a step earns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .geometry import cos_sin, norm
+from .scenes import HUMAN_RADIUS
+
+GOAL_REWARD = 125.0
+COLLISION_REWARD = -1000.0
+STYLE_PENALTY = -10.0
+DISTANCE_THRESHOLD = 2.0
+DISTANCE_MINIMUM = 0.3
+
+
+class NavigationTask:
+    """The episodes of ``num_envs`` robots: equations 2 to 4 of the paper, and the geometry behind.
+
+    Positions are in metres, headings in radians, all arrays float64.
+
+    Args:
+        num_envs: number of episodes, ``N``.
+        num_boxes: boxes in each of them, ``B``.
+        robot_radius: metres.
+        goal_radius: distance at which the goal is reached, metres.
+    """
+
+    def __init__(
+        self, num_envs: int, num_boxes: int, *, robot_radius: float, goal_radius: float
+    ) -> None:
+        self.robot_radius = robot_radius
+        self.goal_radius = goal_radius
+        self.goal = np.zeros((num_envs, 2))
+        self.human_pose = np.zeros((num_envs, 3))
+        self.human_goal = np.zeros((num_envs, 2))
+        self.boxes = np.zeros((num_envs, num_boxes, 5))
+        """``[N, B, 5]``: x, y, heading, half length, half width. Call :meth:`begin` after a change."""
+        self.way = np.zeros((2 + num_boxes, num_envs, 2))
+        """From the robots to goal, human and boxes, ``[2 + B, N, 2]``."""
+        self.distance = np.zeros((2, num_envs))
+        """Of goal and human, ``[2, N]``."""
+        self.radius = np.full((1 + num_boxes, num_envs), HUMAN_RADIUS)
+        """Of circles around human and boxes, ``[1 + B, N]``."""
+        self.flags = np.zeros((num_envs, 3), dtype=bool)
+        """Why an episode ended, ``[N, 3]``: success, collision with the human, with a box."""
+        self._points = np.zeros_like(self.way)
+        self._box_cos, self._box_sin = np.zeros((2, num_boxes, num_envs))
+
+    def begin(self, rows: np.ndarray, position: np.ndarray) -> None:
+        """New episodes in the environments ``rows``, with all robots at ``position`` [N, 2]."""
+        boxes = self.boxes[rows]
+        self.flags[rows] = False
+        self._points[0, rows] = self.goal[rows]
+        self._points[1, rows] = self.human_pose[rows, :2]
+        self._points[2:, rows] = boxes[..., :2].swapaxes(0, 1)
+        self._box_cos[:, rows], self._box_sin[:, rows] = cos_sin(boxes[..., 2].T)
+        self.radius[1:, rows] = norm(boxes[..., 3:]).T
+        self.locate(position)
+
+    def walk(self, length: float) -> None:
+        """Humans go that far towards their goals, metres."""
+        human = self.human_pose[:, :2]
+        way = self.human_goal - human
+        left = norm(way)[:, None]
+        human += way / np.maximum(left, 1e-9) * np.minimum(left, length)
+        self._points[1] = human
+
+    def locate(self, position: np.ndarray) -> None:
+        """See everything from the robots at ``position`` [N, 2]."""
+        np.subtract(self._points, position, out=self.way)
+        self.distance = norm(self.way[:2])
+
+    def end(self) -> np.ndarray:
+        """Which episodes end, ``[N, 1]``, once the robots are located; :attr:`flags` says why."""
+        goal, human = self.distance
+        hit_human = human <= self.robot_radius + HUMAN_RADIUS
+        hit_box = self._touches_box() & ~hit_human
+        self.flags[:, 0] = (goal <= self.goal_radius) & ~(hit_human | hit_box)
+        self.flags[:, 1] = hit_human
+        self.flags[:, 2] = hit_box
+        return self.flags.any(1, keepdims=True)
+
+    def _touches_box(self) -> np.ndarray:
+        x, y = self.way[2:, :, 0], self.way[2:, :, 1]
+        cos, sin = self._box_cos, self._box_sin
+        half_length, half_width = self.boxes[..., 3].T, self.boxes[..., 4].T
+        # From the robot to the nearest point of the box, in the frame of the box.
+        along = (abs(cos * x + sin * y) - half_length).clip(min=0.0)
+        across = (abs(cos * y - sin * x) - half_width).clip(min=0.0)
+        return (along * along + across * across <= self.robot_radius**2).any(0)
+
+    def reward(self, before: np.ndarray) -> np.ndarray:
+        """Core, distance and efficiency ``[N, 3]`` of robots that were at ``before`` [N, 2]."""
+        distance_before = norm(self.goal - before)
+        distance, human = self.distance
+        collided = self.flags[:, 1] | self.flags[:, 2]
+        closeness = np.maximum(DISTANCE_THRESHOLD - human, 0.0)
+        penalty = (closeness / (DISTANCE_THRESHOLD - DISTANCE_MINIMUM)) ** 2
+        reward = np.empty((len(before), 3))
+        reward[:, 0] = GOAL_REWARD * (distance_before - distance) + COLLISION_REWARD * collided
+        reward[:, 1] = STYLE_PENALTY * penalty
+        reward[:, 2] = STYLE_PENALTY
+        return reward
