@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["MOTD3Loss"]
 
 _Angle = Literal["normalized", "official"]
-_TargetSelection = Literal["utility", "elementwise", "mean"]
+_TargetSelection = Literal["utility", "elementwise"]
 
 
 class MOTD3Loss(TD3Loss):
@@ -77,9 +77,8 @@ class MOTD3Loss(TD3Loss):
             the fixed point of the critic away from the Bellman equation. PD-MORL uses 1.
         pre_tanh_coeff (float): :math:`c_\mathrm{tanh}`. Defaults to 0.0. To raise it from zero later,
             the actor must write the ``pre_tanh`` key from the start.
-        target_selection (str): ``"utility"`` (default) as above, ``"elementwise"`` for the minimum
-            of every objective on its own, or ``"mean"`` for the mean of the critics, which does not
-            guard against overestimation but does not shy away from states where they disagree.
+        target_selection (str): ``"utility"`` (default) as above, or ``"elementwise"`` for the minimum
+            of every objective on its own.
         **td3_kwargs: passed to :class:`~torchrl.objectives.TD3Loss`: ``action_spec`` or ``bounds``,
             ``num_qvalue_nets``, ``policy_noise`` and ``noise_clip`` (both in units of the action),
             ``loss_function``, ``delay_actor``, ``delay_qvalue``, ``separate_losses``, ``reduction``,
@@ -357,8 +356,6 @@ class MOTD3Loss(TD3Loss):
         qvalues = self._all_qvalues(next_td, self.target_qvalue_network_params)
         if self.target_selection == "elementwise":
             qvalue = qvalues.amin(0)
-        elif self.target_selection == "mean":
-            qvalue = qvalues.mean(0)
         else:
             lowest = self._utility(weights, qvalues).argmin(0)[None, ..., None]
             qvalue = qvalues.gather(0, lowest.expand(1, *qvalues.shape[1:])).squeeze(0)
