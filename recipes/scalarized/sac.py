@@ -1,0 +1,63 @@
+"""SAC-PR: soft actor-critic on a reward that the preference parameterises.
+
+Soft actor-critic (https://arxiv.org/abs/1812.05905) with a scalar critic, the baseline of de Heuvel
+et al. (https://arxiv.org/abs/2404.04857, section V-D). Run it with ``python -m
+recipes.scalarized.sac``, and SAC-PR-gamma with ``loss.gamma=0.98``; every field of ``sac.yaml`` and
+``common.yaml`` can be overridden on the command line.
+"""
+
+from __future__ import annotations
+
+import hydra
+import torch
+from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl._utils import timeit
+from torchrl.objectives import SoftUpdate
+
+from recipes.pd_morl.utils import make_optimizers, step
+
+from . import training, utils
+
+
+@hydra.main(version_base="1.3", config_path="", config_name="sac")
+def main(cfg: DictConfig) -> None:
+    """Train, evaluate while training, and save the deterministic part of the policy."""
+    task = training.make_task(cfg)
+    replay_buffer = utils.make_replay_buffer(cfg, task)
+
+    # The actor that is saved and the one that explores are one network: they share the mean.
+    actor = utils.make_actor(cfg, task)
+    policy = utils.make_stochastic_policy(cfg, task, actor)
+    loss = utils.make_sac_loss(cfg, task, policy)
+    target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
+    averaged = training.make_averaged(cfg, actor)
+    optimizers, schedulers = make_optimizers(cfg, loss)
+    optimizers["alpha"] = torch.optim.Adam([loss.log_alpha], lr=cfg.optim.lr)
+
+    def update(batch: TensorDictBase, updates: int, frames: int) -> dict[str, Tensor]:
+        with timeit("update critic"):
+            value_loss, info = loss.qvalue_v2_loss(batch)
+            metrics = step(optimizers["critic"], value_loss, cfg.optim.max_grad_norm)
+            metrics |= info | {"loss_qvalue": value_loss}
+        with timeit("update actor"):
+            actor_loss, info = loss.actor_loss(batch)
+            step(optimizers["actor"], actor_loss, cfg.optim.max_grad_norm)
+        with timeit("update temperature"):
+            alpha_loss = loss.alpha_loss(info["log_prob"]).mean()
+            step(optimizers["alpha"], alpha_loss, cfg.optim.max_grad_norm)
+        target_updater.step()
+        averaged.update_parameters(actor)
+        return metrics | {
+            "loss_actor": actor_loss,
+            "alpha": loss.log_alpha.exp(),
+            "entropy": -info["log_prob"],
+        }
+
+    state = {"loss": loss, "averaged": averaged, **optimizers, **schedulers}
+    training.train(cfg, task, policy, averaged, replay_buffer, update, schedulers, state)
+
+
+if __name__ == "__main__":
+    main()

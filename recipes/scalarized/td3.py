@@ -1,0 +1,61 @@
+"""TD3-PR: TD3 on a reward that the preference parameterises; and CORE, on the core reward alone.
+
+TD3 (https://arxiv.org/abs/1802.09477) with scalar critics, the baselines of de Heuvel et al.
+(https://arxiv.org/abs/2404.04857, sections V-D and V-E). Run it with ``python -m
+recipes.scalarized.td3``, and CORE with ``objective=core``; every field of ``td3.yaml`` and
+``common.yaml`` can be overridden on the command line.
+"""
+
+from __future__ import annotations
+
+import hydra
+from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl._utils import timeit
+from torchrl.objectives import SoftUpdate
+
+from recipes.pd_morl.utils import make_optimizers, make_policy, pre_tanh_coeff, step
+
+from . import training, utils
+
+
+@hydra.main(version_base="1.3", config_path="", config_name="td3")
+def main(cfg: DictConfig) -> None:
+    """Train, evaluate while training, and save the last and the best policy."""
+    ignore_preference = utils.ignores_preference(cfg)
+    task = training.make_task(cfg)
+    replay_buffer = utils.make_replay_buffer(cfg, task, ignore_preference)
+
+    actor, policy = make_policy(cfg, task.env, task.space, task.device)
+    if ignore_preference:
+        utils.cut_off_preference(actor, task.space)
+    loss = utils.make_td3_loss(cfg, task, actor)
+    target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
+    averaged = training.make_averaged(cfg, actor)
+    optimizers, schedulers = make_optimizers(cfg, loss)
+
+    def update(batch: TensorDictBase, updates: int, frames: int) -> dict[str, Tensor]:
+        with timeit("update critic"):
+            value_loss, info = loss.value_loss(batch)
+            metrics = step(optimizers["critic"], value_loss, cfg.optim.max_grad_norm)
+            metrics |= info | {"loss_qvalue": value_loss}
+        if updates % cfg.optim.policy_delay == 0:
+            with timeit("update actor"):
+                actor_loss, info = loss.actor_loss(batch)
+                if cfg.loss.pre_tanh_coeff:
+                    # The stock loss keeps its forward pass to itself.
+                    pre_tanh = actor(batch.select(*actor.in_keys))["pre_tanh"]
+                    actor_loss = actor_loss + pre_tanh_coeff(cfg, frames) * pre_tanh.pow(2).mean()
+                step(optimizers["actor"], actor_loss, cfg.optim.max_grad_norm)
+                target_updater.step()
+                averaged.update_parameters(actor)
+                metrics |= info | {"loss_actor": actor_loss}
+        return metrics
+
+    state = {"loss": loss, "averaged": averaged, **optimizers, **schedulers}
+    training.train(cfg, task, policy, averaged, replay_buffer, update, schedulers, state)
+
+
+if __name__ == "__main__":
+    main()

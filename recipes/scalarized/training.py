@@ -1,0 +1,172 @@
+"""The loop around a scalarised agent: collect, update, evaluate, save. The agents differ in updates."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+import tqdm
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torchrl._utils import timeit
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.collectors import Collector
+from torchrl.data import TensorDictReplayBuffer
+from torchrl.envs import EnvBase
+
+from recipes.pd_morl import evaluation, files, utils
+from torchrl_morl.modules import RewardModel
+from torchrl_morl.preferences import PreferenceSpace
+
+Update = Callable[[TensorDictBase, int, int], dict[str, Tensor]]
+"""``update(batch, updates, frames)``: one update of an agent, the count of it from 1, frames so far."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """What every agent is given."""
+
+    run_dir: Path
+    device: torch.device
+    space: PreferenceSpace
+    env: EnvBase
+    eval_env: EnvBase
+    reward_model: RewardModel | None
+    demo_card: dict[str, Any] | None
+    demonstration: TensorDict | None
+    """What the demonstrator does in the scenes of the evaluation."""
+
+
+def make_task(cfg: DictConfig) -> Task:
+    """Environments, preferences and demonstrations as in PD-MORL; nothing is written yet.
+
+    Raises:
+        FileExistsError: if the run folder holds policies.
+        ValueError: for a configuration that the environment refuses.
+    """
+    torch.set_num_threads(cfg.torch_threads)
+    torch.manual_seed(cfg.seed)
+    run_dir = Path(HydraConfig.get().runtime.output_dir)
+    files.check_run_dir(run_dir)
+    _check(cfg)
+    demo = utils.load_demonstration_objective(cfg)
+    reward_model, demo_card = demo if demo else (None, None)
+    space = utils.make_preference_space(with_demonstrations=demo is not None)
+    return Task(
+        run_dir=run_dir,
+        device=torch.device(cfg.device),
+        space=space,
+        env=utils.make_train_env(cfg, space, reward_model),
+        eval_env=utils.make_eval_env(cfg, space, reward_model),
+        reward_model=reward_model,
+        demo_card=demo_card,
+        demonstration=evaluation.demonstrated(cfg, demo_card) if demo else None,
+    )
+
+
+def _check(cfg: DictConfig) -> None:
+    """What nothing further down would refuse."""
+    if not 0 < cfg.loss.gamma <= 1:
+        raise ValueError(f"loss.gamma must be in (0, 1], got {cfg.loss.gamma}.")
+    if cfg.optim.updates_per_batch < 1:
+        raise ValueError(
+            f"optim.updates_per_batch must be at least 1, got {cfg.optim.updates_per_batch}."
+        )
+
+
+def make_averaged(cfg: DictConfig, actor: TensorDictModule) -> AveragedModel:
+    """The policy that is evaluated and saved."""
+    return AveragedModel(
+        actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.optim.actor_average), use_buffers=False
+    )
+
+
+def train(
+    cfg: DictConfig,
+    task: Task,
+    policy: TensorDictModule,
+    averaged: AveragedModel,
+    replay_buffer: TensorDictReplayBuffer,
+    update: Update,
+    schedulers: dict[str, torch.optim.lr_scheduler.LRScheduler],
+    state: dict[str, Any],
+) -> None:
+    """Train an agent and save its policies in the run folder.
+
+    Args:
+        cfg: the configuration.
+        task: what :func:`make_task` made of it.
+        policy: collects. If its last module has a ``step`` to anneal exploration, it is called.
+        averaged: the policy that is evaluated and saved.
+        replay_buffer: keeps what is collected.
+        update: one update of the agent; returns what is logged.
+        schedulers: step once a batch of frames.
+        state: what a checkpoint holds.
+    """
+    files.write_run_info(task.run_dir)
+    loggers = utils.make_loggers(cfg, task.run_dir)
+    collector = Collector(
+        task.env,
+        policy,
+        frames_per_batch=cfg.collector.frames_per_batch,
+        total_frames=cfg.collector.total_frames,
+        init_random_frames=cfg.collector.init_random_frames,
+        policy_device=task.device,
+        storing_device=task.device,
+        auto_register_policy_transforms=False,
+    )
+    checkpoints = CheckpointRotation(
+        task.run_dir / "checkpoints", keep_last=1, keep_best=("score", "max")
+    )
+    anneal = getattr(policy[-1], "step", None)
+    frames = updates = 0
+    score = success = float("nan")
+    progress = tqdm.tqdm(total=cfg.collector.total_frames, unit="step", smoothing=0.05)
+    for data in collector:
+        with timeit("extend"):
+            replay_buffer.extend(data.reshape(-1).select(*utils.TRANSITION))
+        collected, frames = frames, frames + data.numel()
+        if anneal is not None:
+            anneal(data.numel())
+        progress.update(data.numel())
+
+        metrics = {}
+        if frames > cfg.collector.init_random_frames:
+            for _ in range(cfg.optim.updates_per_batch):
+                with timeit("sample"):
+                    batch = replay_buffer.sample()
+                updates += 1
+                info = update(batch, updates, frames)
+                metrics |= {name: value.detach() for name, value in info.items()}
+            for scheduler in schedulers.values():
+                scheduler.step()
+
+        if metrics and utils.crossed(cfg.logger.interval, collected, frames):
+            utils.log_training(loggers, metrics, task.space, frames, updates)
+            progress.set_postfix(utils.progress_line(progress, updates, success, score))
+
+        last = frames >= cfg.collector.total_frames
+        if updates and (last or utils.crossed(cfg.evaluation.interval, collected, frames)):
+            with timeit("evaluate"):
+                result = evaluation.evaluate(
+                    cfg, task.eval_env, averaged.module, task.space, task.demonstration
+                )
+            score, success = result.score, result.success
+            utils.log_metrics(loggers, result.metrics, frames)
+            checkpoints.save(Checkpoint(**state), step=frames, metadata={"score": score})
+            folder = task.run_dir / "policies" / f"{frames:09d}"
+            files.save_training_policy(
+                folder, cfg, averaged.module, task.space, result, task.demo_card
+            )
+            tqdm.tqdm.write(result.table(frames))
+    progress.close()
+    collector.shutdown()
+    timeit.print()
+    files.finish(task.run_dir, cfg)

@@ -1,0 +1,154 @@
+"""What the scalarised baselines are made of, beside what they share with PD-MORL."""
+
+from __future__ import annotations
+
+import torch
+from omegaconf import DictConfig
+from tensordict.nn import TensorDictModule, TensorDictSequential, biased_softplus
+from torch import nn
+from torchrl.data import TensorDictReplayBuffer
+from torchrl.envs import UnaryTransform
+from torchrl.modules import ProbabilisticActor, TanhNormal
+from torchrl.objectives import LossModule, SACLoss, TD3Loss
+
+import torchrl_morl.modules
+from envs.policy_env import OBSERVATION_SIZE
+from recipes.pd_morl import utils as pd_morl
+from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.transforms import ScalarizeReward
+
+from .training import Task
+
+
+def ignores_preference(cfg: DictConfig) -> bool:
+    """Whether the core objective is all that counts.
+
+    Raises:
+        ValueError: for an unknown ``objective``.
+    """
+    if cfg.objective not in ("preference", "core"):
+        raise ValueError(f"objective must be 'preference' or 'core', got {cfg.objective!r}.")
+    return cfg.objective == "core"
+
+
+def make_replay_buffer(
+    cfg: DictConfig, task: Task, ignore_preference: bool = False
+) -> TensorDictReplayBuffer:
+    """PD-MORL's buffer of vector rewards, which adds ``scalar_reward`` to what is sampled.
+
+    With ``ignore_preference`` sampled preferences are zero, which leaves the core reward: its
+    weight is static.
+    """
+    replay_buffer = pd_morl.make_replay_buffer(cfg, task.space, task.device)
+    if ignore_preference:
+        keys = ["preference", ("next", "preference")]
+        zero = UnaryTransform(in_keys=keys, out_keys=keys, fn=torch.zeros_like)
+        replay_buffer.append_transform(zero)
+    replay_buffer.append_transform(ScalarizeReward(task.space))
+    if cfg.demonstrations.dataset:
+        pd_morl.prefill(cfg, replay_buffer, task.space, task.reward_model)
+    return replay_buffer
+
+
+def make_actor(cfg: DictConfig, task: Task) -> TensorDictSequential:
+    return torchrl_morl.modules.make_actor(
+        task.env.action_spec_unbatched,
+        in_features=OBSERVATION_SIZE + task.space.num_tunable,
+        num_cells=cfg.network.num_cells,
+        device=task.device,
+    )
+
+
+def make_stochastic_policy(
+    cfg: DictConfig, task: Task, actor: TensorDictSequential
+) -> ProbabilisticActor:
+    """A squashed Gaussian around the actor's pre-tanh output.
+
+    It shares all layers with ``actor`` and adds one for the standard deviation, so that training it
+    trains the actor, whose action is the tanh of the mean.
+    """
+    *hidden, mean = actor[0].module
+    log_scale = nn.Linear(mean.in_features, mean.out_features, device=task.device)
+    scale = nn.Sequential(
+        log_scale, biased_softplus(cfg.network.initial_scale, cfg.network.min_scale)
+    )
+    return ProbabilisticActor(
+        TensorDictSequential(
+            TensorDictModule(
+                _Hidden(*hidden), in_keys=["observation", "preference"], out_keys=["hidden"]
+            ),
+            TensorDictModule(mean, in_keys=["hidden"], out_keys=["loc"]),
+            TensorDictModule(scale, in_keys=["hidden"], out_keys=["scale"]),
+        ),
+        in_keys=["loc", "scale"],
+        spec=task.env.action_spec_unbatched,
+        distribution_class=TanhNormal,
+        distribution_kwargs={"low": -1.0, "high": 1.0},
+        return_log_prob=True,
+    )
+
+
+class _Hidden(nn.Sequential):
+    """The hidden layers of a :class:`torchrl.modules.MLP`, which concatenates its inputs."""
+
+    def forward(self, *inputs: torch.Tensor) -> torch.Tensor:
+        return super().forward(torch.cat(inputs, dim=-1))
+
+
+def cut_off_preference(actor: TensorDictSequential, space: PreferenceSpace) -> None:
+    """Zero what the actor's first layer makes of the preference.
+
+    Trained with zero preferences these weights get no gradient and stay zero: the policy keeps the
+    inputs that all policies have, and ignores the last of them.
+    """
+    first = actor[0].module[0]
+    with torch.no_grad():
+        first.weight[:, -space.num_tunable :] = 0.0
+
+
+def make_td3_loss(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> TD3Loss:
+    loss = TD3Loss(
+        actor,
+        _make_critics(cfg, task),
+        action_spec=task.env.action_spec_unbatched,
+        policy_noise=cfg.loss.policy_noise,
+        noise_clip=cfg.loss.noise_clip,
+        loss_function=cfg.loss.loss_function,
+        deactivate_vmap=True,  # a loop over two critics is faster on a CPU
+    )
+    return _configure(cfg, task, loss)
+
+
+def make_sac_loss(cfg: DictConfig, task: Task, policy: ProbabilisticActor) -> SACLoss:
+    loss = SACLoss(
+        policy,
+        _make_critics(cfg, task),
+        action_spec=task.env.action_spec_unbatched,
+        alpha_init=cfg.loss.alpha_init,
+        loss_function=cfg.loss.loss_function,
+        deactivate_vmap=True,  # a loop over two critics is faster on a CPU
+    )
+    return _configure(cfg, task, loss)
+
+
+def _make_critics(cfg: DictConfig, task: Task) -> list[TensorDictModule]:
+    """Two scalar critics: the vector critic of PD-MORL with a single value."""
+    action_size = task.env.action_spec_unbatched.shape[-1]
+    return [
+        torchrl_morl.modules.make_vector_critic(
+            1,
+            in_features=OBSERVATION_SIZE + task.space.num_tunable + action_size,
+            num_cells=cfg.network.num_cells,
+            layer_norm=cfg.network.critic_layer_norm,
+            device=task.device,
+        )
+        for _ in range(2)
+    ]
+
+
+def _configure(cfg: DictConfig, task: Task, loss: LossModule) -> LossModule:
+    loss.set_keys(reward="scalar_reward")
+    if cfg.loss.truncation_is_terminal:
+        loss.set_keys(terminated="done")
+    loss.make_value_estimator(gamma=cfg.loss.gamma)
+    return loss.to(task.device)
