@@ -23,6 +23,7 @@ from torchrl_morl.evaluation import (
     space_violations,
     spl,
     stalled_time,
+    statistics,
     stl,
     time_to_goal,
 )
@@ -169,7 +170,8 @@ def test_nan_before_the_end_is_not_swallowed(metric):
 
 def test_the_glossary_has_every_metric():
     text = (Path(__file__).parent.parent / "docs" / "metrics.md").read_text()
-    others = {"discrete_frechet", "steerability"}
+    others = {"discrete_frechet", "steerability", "hypervolume", "expected_utility"}
+    others |= {name for name in statistics.__all__ if name.islower()}
     assert {*METRICS, *others} <= set(re.findall(r"^\| `(\w+)` \|", text, flags=re.MULTILINE))
 
 

@@ -1,7 +1,7 @@
 """Evaluation: rollouts over preferences, metrics of trajectories, pictures and videos."""
 
 from .frechet import discrete_frechet, resample_path
-from .indicators import steerability
+from .indicators import expected_utility, hypervolume, steerability
 from .metrics import path_length, spl, stl, time_to_goal
 from .motion import cumulative_heading_change, mean_jerk, path_irregularity, stalled_time
 from .overlay import draw_preference
@@ -15,17 +15,38 @@ from .proximity import (
     space_violations,
 )
 from .rollout import episode_mask, rollout_preferences
+from .statistics import (
+    Interval,
+    TestResult,
+    bootstrap_interval,
+    cluster_rate_interval,
+    cohen_d,
+    cohen_dz,
+    interquartile_mean,
+    significance_mark,
+    t_test,
+    wilson_interval,
+)
 from .video import VideoLogger, write_video
 
 __all__ = [
     "PREFERENCE_COLORS",
+    "Interval",
+    "TestResult",
     "VideoLogger",
+    "bootstrap_interval",
+    "cluster_rate_interval",
+    "cohen_d",
+    "cohen_dz",
     "cumulative_heading_change",
     "discrete_frechet",
     "draw_paths",
     "draw_preference",
     "draw_scene",
     "episode_mask",
+    "expected_utility",
+    "hypervolume",
+    "interquartile_mean",
     "mean_jerk",
     "min_clearance",
     "min_human_distance",
@@ -36,11 +57,14 @@ __all__ = [
     "personal_space_compliance",
     "resample_path",
     "rollout_preferences",
+    "significance_mark",
     "space_violations",
     "spl",
     "stalled_time",
     "steerability",
     "stl",
+    "t_test",
     "time_to_goal",
+    "wilson_interval",
     "write_video",
 ]
