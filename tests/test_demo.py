@@ -1,0 +1,68 @@
+"""The demo as a user runs it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio.v2 as imageio
+import pytest
+import torch
+from torchrl.data import Bounded
+
+from envs.policy_env import OBSERVATION_SIZE
+from tests._sweeps import DEMO_SPACE, is_png, needs_gl
+from torchrl_morl.deploy import save_policy
+from torchrl_morl.modules import make_actor
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory) -> Path:
+    """Drives ahead at full speed, into the human of the showcase."""
+    torch.manual_seed(0)
+    space, cells = DEMO_SPACE, (8,)
+    actor = make_actor(
+        Bounded(-1.0, 1.0, (2,)),
+        in_features=OBSERVATION_SIZE + space.num_tunable,
+        num_cells=cells,
+    )
+    with torch.no_grad():
+        actor[0].module[-1].bias.copy_(torch.tensor([5.0, 0.0]))
+    return save_policy(
+        tmp_path_factory.mktemp("policies") / "tiny",
+        actor,
+        space=space,
+        observation_size=OBSERVATION_SIZE,
+        action_size=2,
+        num_cells=cells,
+        card={"demonstrator": {"radius": 1.0, "side": "left", "speed": 0.5}},
+    )
+
+
+@needs_gl
+def test_demo_leaves_pictures_and_a_film(policy, tmp_path):
+    arguments = ("--policy", policy, "--output", tmp_path, "--episodes", 2, "--steps", 2)
+    result = subprocess.run(
+        [sys.executable, "-m", "recipes.demo", *map(str, arguments)],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert result.returncode == 0, result.stderr
+    assert "Warning" not in result.stderr
+    names = ["sweep.gif", "switch.png", "trajectories.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    assert all(name in result.stdout for name in names)
+    for first, second in (("efficiency", "distance"), ("demo", "distance")):
+        pair = f"from {first} to {second}", f"from {second} to {first}"
+        assert any(text in result.stdout for text in pair)
+    assert result.stdout.count("Spearman rho of weight and mean metric") == 3
+    assert "demo -> frechet" in result.stdout
+    assert is_png(tmp_path / "trajectories.png") and is_png(tmp_path / "switch.png")
+    # Each of the three corners drives for about 40 steps before it hits the human.
+    assert 30 < len(imageio.mimread(tmp_path / "sweep.gif")) < 50

@@ -1,0 +1,83 @@
+"""The training from nothing: its stages, and the policy it chooses."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+import recipes.train
+
+
+def save_scores(folder: Path, scores: list[float]) -> None:
+    for index, score in enumerate(scores, start=1):
+        policy = folder / "policies" / f"{index * 1000:09d}"
+        policy.mkdir(parents=True)
+        (policy / "policy.json").write_text(json.dumps({"card": {"score": score}}))
+
+
+@pytest.mark.parametrize(
+    ("scores", "best"),
+    [
+        ([9, 9, 9, 9, 9, 9, 9, 9, 1, 2], 10),
+        ([9, 9, 9, 9, 9, 9, 9, 9, 2, 1], 9),
+        ([3, 2, 1], 3),
+        ([-4], 1),
+    ],
+)
+def test_final_policy_is_the_best_of_the_last_fifth(scores, best, tmp_path):
+    save_scores(tmp_path, scores)
+    assert recipes.train.final_policy(tmp_path).name == f"{best * 1000:09d}"
+
+
+@pytest.mark.parametrize("folder_exists", [False, True])
+def test_training_that_saved_no_policy_is_named(folder_exists, tmp_path):
+    if folder_exists:
+        (tmp_path / "policies").mkdir()
+    with pytest.raises(SystemExit) as stop:
+        recipes.train.final_policy(tmp_path)
+    message = str(stop.value)
+    assert f"{tmp_path / 'policies'} holds no policy" in message
+    assert "--pd-morl collector.total_frames=" in message
+
+
+def test_train_runs_its_stages_one_after_the_other(tmp_path, monkeypatch, capsys):
+    calls = []
+
+    def run(name, command):
+        calls.append((name, command))
+        if name == "PD-MORL":
+            save_scores(tmp_path / "run" / "pd_morl", [1, 2])
+        return 1.0
+
+    monkeypatch.setattr(recipes.train, "run", run)
+    options = ["--output", str(tmp_path / "run"), "--episodes", "5", "--pd-morl", "seed=1"]
+    monkeypatch.setattr(sys, "argv", ["train.py", *options, "--drex", "seed=2"])
+    recipes.train.main()
+    assert [name for name, _ in calls] == ["D-REX", "PD-MORL", "evaluation"]
+    drex, morl, evaluation = (command for _, command in calls)
+    folder = tmp_path / "run"
+    policy = str(folder / "pd_morl" / "policies" / "000002000")
+    assert drex == ["recipes.drex.drex", f"hydra.run.dir={folder / 'drex'}", "seed=2"]
+    assert f"demonstrations.reward_model={folder / 'drex' / 'reward_model'}" in morl
+    assert f"demonstrations.dataset={folder / 'drex' / 'demonstrations.safetensors'}" in morl
+    assert morl[-1] == "seed=1"
+    assert evaluation[1:5] == ["--policy", policy, "--episodes", "5"]
+    assert f"python -m recipes.demo --policy {policy}" in capsys.readouterr().out
+
+
+def test_train_refuses_a_folder_that_exists(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(recipes.train, "run", lambda *_: pytest.fail("a stage has begun"))
+    monkeypatch.setattr(sys, "argv", ["train.py", "--output", str(tmp_path)])
+    with pytest.raises(SystemExit) as stop:
+        recipes.train.main()
+    assert stop.value.code == 2
+    assert f"{tmp_path} exists and is not overwritten" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_train_stops_at_the_first_stage_that_fails():
+    with pytest.raises(SystemExit, match="D-REX failed with exit code 2"):
+        recipes.train.run("D-REX", ["json.tool", "--no-such-option"])
