@@ -16,8 +16,19 @@ from .navigation import NavigationEnv
 from .robots import TURTLEBOT2, Robot, get_robot
 
 
-class _Driver(TensorDictModuleBase):
-    """Turns towards a bearing and drives on: what the drivers below have in common."""
+class Driver(TensorDictModuleBase):
+    """Turns towards a bearing and drives on: what scripted drivers have in common.
+
+    Args:
+        speed: forward speed, m/s.
+        robot: whose limits it respects.
+        in_keys: what it reads.
+        action_key: where the action ``[*B, 2]`` is written.
+        scaled: in [-1, 1] instead of m/s and rad/s.
+
+    Raises:
+        ValueError: for a speed that is not positive or above the robot's.
+    """
 
     # Turn rate per radian that the robot heads off: four fifths of it are gone a step later.
     _GAIN = 0.8 / NavigationEnv.CONTROL_PERIOD
@@ -50,7 +61,7 @@ class _Driver(TensorDictModuleBase):
         return tensordict.set(self.out_keys[0], torch.stack((forward, turn), dim=-1))
 
 
-class _PassingDriver(_Driver):
+class _PassingDriver(Driver):
     """Passes the human on a side; ``_steer`` says how, for the left one."""
 
     def __init__(
@@ -189,7 +200,7 @@ class DetourDriver(_PassingDriver):
         return self._forward_speed(heading), self._GAIN * heading
 
 
-class StraightDriver(_Driver):
+class StraightDriver(Driver):
     """Turn towards the goal and drive at full speed, whatever stands in the way.
 
     Args:
