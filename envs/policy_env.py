@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
@@ -29,7 +30,13 @@ from .navigation import NavigationEnv
 NUM_SECTORS = 30
 GOAL_SCALE = 5.0
 HUMAN_SCALE = 2.0
-OBSERVATION_SIZE = NUM_SECTORS + 3 + 3
+PARTS = {"lidar": NUM_SECTORS, "goal": 3, "human": 3}
+"""Parts of the observation, in their order, and how many entries each has."""
+
+OBSERVATION_SIZE = sum(PARTS.values())
+"""Entries of the observation, unless arguments of :func:`policy_transforms` change it."""
+
+_OBSERVED = ("observe_human",)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +50,38 @@ class LogRange:
         return (ranges / self.max_range).clamp_min(1e-3 / self.max_range).log() / 3
 
 
-def policy_transforms(max_range: float = 4.0) -> Compose:
+def observation_parts(*, observe_human: bool = True) -> dict[str, range]:
+    """Where the parts of the observation of :func:`policy_transforms` lie.
+
+    Raises:
+        ValueError: for an argument that is neither true nor false.
+    """
+    if not isinstance(observe_human, bool):
+        raise ValueError(f"observe_human must be true or false, got {observe_human!r}.")
+    hidden = set() if observe_human else {"human"}
+    parts, end = {}, 0
+    for name, size in PARTS.items():
+        if name not in hidden:
+            parts[name] = range(end, end := end + size)
+    return parts
+
+
+def observed(arguments: Mapping[str, Any]) -> dict[str, bool]:
+    """Those of the arguments of :func:`make_policy_env` that say what the policy observes."""
+    return {name: arguments[name] for name in _OBSERVED if name in arguments}
+
+
+def simulated(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """The other arguments of :func:`make_policy_env`: those of :class:`NavigationEnv`."""
+    return {name: value for name, value in arguments.items() if name not in _OBSERVED}
+
+
+def observation_size(arguments: Mapping[str, Any]) -> int:
+    """Entries of the observation under these arguments of :func:`make_policy_env`."""
+    return sum(map(len, observation_parts(**observed(arguments)).values()))
+
+
+def policy_transforms(max_range: float = 4.0, *, observe_human: bool = True) -> Compose:
     """Transforms that build the policy's ``observation`` ``[*B, 36]`` and scale its action.
 
     ==========  =====================================================================
@@ -57,20 +95,29 @@ def policy_transforms(max_range: float = 4.0) -> Compose:
 
     The policy's ``action`` is in [-1, 1]; the environment gets it in m/s and rad/s. A sensor value
     that is not finite raises ``ValueError``.
+
+    Args:
+        max_range: of the lidar, metres.
+
+    Keyword Args:
+        observe_human: without it the observation ends with the goal, ``[*B, 33]``; the lidar still
+            sees the human, as an obstacle like any other.
     """
+    parts = observation_parts(observe_human=observe_human)
+    scales = {"goal": GOAL_SCALE} | ({"human": HUMAN_SCALE} if observe_human else {})
     return Compose(
         ActionScaling(),
         # First, so that an error names the sensor and the ray.
-        CheckFinite(["scan", "goal", "human"]),
+        CheckFinite(["scan", *scales]),
         LidarMinPool(NUM_SECTORS),
         UnaryTransform(in_keys=["lidar"], out_keys=["lidar_features"], fn=LogRange(max_range)),
         PolarFeatures(
-            in_keys=["goal", "human"],
-            out_keys=["goal_features", "human_features"],
-            scale=[GOAL_SCALE, HUMAN_SCALE],
+            in_keys=list(scales),
+            out_keys=[f"{name}_features" for name in scales],
+            scale=list(scales.values()),
         ),
         CatTensors(
-            in_keys=["lidar_features", "goal_features", "human_features"],
+            in_keys=[f"{name}_features" for name in parts],
             out_key="observation",
             dim=-1,
             sort=False,
@@ -83,6 +130,7 @@ def make_policy_env(
     *,
     reward_model: TensorDictModuleBase | None = None,
     keep_simulation: bool = False,
+    observe_human: bool = True,
     **kwargs: Any,
 ) -> TransformedEnv:
     """A :class:`NavigationEnv` as a preference-conditioned policy sees it.
@@ -95,6 +143,8 @@ def make_policy_env(
             the objective "demo", in second place of the reward.
         keep_simulation: keep raw scans and the simulator's state in the rollouts, for figures and
             snapshots; without them a transition takes 1 kB instead of 13 kB.
+        observe_human: see :func:`policy_transforms`; the human's position itself stays in the
+            rollouts, under keys that a policy does not read.
         **kwargs: see :class:`NavigationEnv`.
 
     Returns:
@@ -102,7 +152,7 @@ def make_policy_env(
         ``action`` is in [-1, 1].
     """
     base = NavigationEnv(snapshots=keep_simulation, **kwargs)
-    transforms = policy_transforms(base.max_range)
+    transforms = policy_transforms(base.max_range, observe_human=observe_human)
     if sampler is not None:
         transforms.append(sampler)
     if reward_model is not None:

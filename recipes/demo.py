@@ -19,7 +19,7 @@ from torchrl_morl.evaluation import steerability
 
 from .figures import Row, sweep_figure, switch_figure
 from .film import film
-from .sweep import edge, sweep
+from .sweep import edge, observed_by, sweep
 from .switch import switch
 
 SHIPPED_POLICY = Path(__file__).parent / "policies" / "navigation"
@@ -59,6 +59,7 @@ def main() -> None:
                 goal_radius=GOAL_RADIUS,
                 demonstrator=demonstrator,
                 on_preference=lambda _: progress.update(),
+                **observed_by(card),
             )
             showcase = sweep(
                 actor,
@@ -69,6 +70,7 @@ def main() -> None:
                 scene="showcase",
                 goal_radius=GOAL_RADIUS,
                 demonstrator=demonstrator,
+                **observed_by(card),
             )
             first, second = (space.tunable[preferences[i].argmax()] for i in (0, -1))
             rows.append(Row(first, second, showcase, statistics))
@@ -79,7 +81,13 @@ def main() -> None:
 
     figure = args.output / "trajectories.png"
     sweep_figure(figure, rows, goal_radius=GOAL_RADIUS)
-    change = switch(actor, space, edge(space, "efficiency", "distance", 2), goal_radius=GOAL_RADIUS)
+    change = switch(
+        actor,
+        space,
+        edge(space, "efficiency", "distance", 2),
+        goal_radius=GOAL_RADIUS,
+        **observed_by(card),
+    )
     switched = args.output / "switch.png"
     switch_figure(
         switched,
@@ -98,7 +106,7 @@ def main() -> None:
             f"{changed}one second later the robot heads {change.turned:.0f} degrees elsewhere, "
             f"{change.separation:.2f} m off the old path"
         )
-    movie = film(args.output / "sweep.gif", actor, space, space.corners())
+    movie = film(args.output / "sweep.gif", actor, space, space.corners(), **observed_by(card))
     print(f"Pictures: {figure}, {switched}; film: {movie}")
 
 

@@ -24,7 +24,7 @@ from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
 from .demo import GOAL_RADIUS, SHIPPED_POLICY
-from .sweep import edge, sweep
+from .sweep import edge, observed_by, sweep
 
 
 def parse_preferences(texts: list[str], space: PreferenceSpace) -> Tensor:
@@ -102,6 +102,7 @@ def main() -> None:
             perturbation=perturbation,
             demonstrator=demonstrator,
             on_preference=lambda _: progress.update(),
+            **observed_by(card),
         )
     print(result.table())
     metrics = result.metrics

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import torch
@@ -31,10 +32,12 @@ def film(
     max_episode_steps: int = 300,
     every: int = 3,
     size: tuple[int, int] = (640, 360),
+    **env_kwargs: Any,
 ) -> Path:
     """Drive through one scene under each preference ``[P, T]`` and film it with MuJoCo.
 
-    The paths of earlier preferences stay on the floor. Every ``every``-th step is a frame.
+    The paths of earlier preferences stay on the floor. Every ``every``-th step is a frame. Other
+    arguments are those of :func:`envs.policy_env.make_policy_env`.
     """
     env = make_policy_env(
         PreferenceSampler(space),
@@ -43,6 +46,7 @@ def film(
         seed=seed,
         goal_radius=goal_radius,
         max_episode_steps=max_episode_steps,
+        **env_kwargs,
     )
     colors = mpl.colormaps[PREFERENCE_COLORS](torch.linspace(0, 1, len(preferences)).numpy())
     frames, trails = [], []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from envs.demonstrator import CircleDemonstrator, demonstrated_paths
 from envs.metrics import episode_metrics, trajectories
-from envs.policy_env import make_policy_env
+from envs.policy_env import make_policy_env, observed, simulated
 from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
@@ -74,6 +74,11 @@ class Sweep:
         return "\n".join(lines)
 
 
+def observed_by(card: Mapping[str, Any]) -> dict[str, bool]:
+    """What the policy of that card observes: arguments of :func:`envs.policy_env.make_policy_env`."""
+    return observed(card.get("config", {}).get("env", {}))
+
+
 def sweep(
     actor: TensorDictModule,
     space: PreferenceSpace,
@@ -99,7 +104,8 @@ def sweep(
         max_episode_steps: steps before an episode is truncated.
         demonstrator: what the policy was shown, for the distance to it.
         on_preference: called after each preference, for a progress bar.
-        **env_kwargs: see :class:`envs.NavigationEnv`.
+        **env_kwargs: see :func:`envs.policy_env.make_policy_env`; what the policy observes comes
+            from :func:`observed_by`.
 
     Raises:
         ValueError: for preferences off the simplex, and whatever the environment refuses.
@@ -136,7 +142,7 @@ def sweep(
     metrics, paths, demonstration = episode_metrics(rollout), trajectories(rollout), None
     if demonstrator is not None:
         # It was shown by a robot without faults.
-        faultless = {key: value for key, value in env_kwargs.items() if key != "perturbation"}
+        faultless = {**simulated(env_kwargs), "perturbation": None}
         demonstration = demonstrated_paths(
             demonstrator, start, max_episode_steps=max_episode_steps, **faultless
         )

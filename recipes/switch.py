@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import torch
 from tensordict import TensorDict
@@ -63,8 +64,12 @@ def switch(
     seed: int = 0,
     goal_radius: float = 0.3,
     max_episode_steps: int = 300,
+    **env_kwargs: Any,
 ) -> Switch:
-    """Drive through one scene under both preferences ``[2, T]``, and change between them."""
+    """Drive through one scene under both preferences ``[2, T]``, and change between them.
+
+    Other arguments are those of :func:`envs.policy_env.make_policy_env`.
+    """
     env = make_policy_env(
         PreferenceSampler(space),
         keep_simulation=True,
@@ -73,6 +78,7 @@ def switch(
         seed=seed,
         goal_radius=goal_radius,
         max_episode_steps=max_episode_steps,
+        **env_kwargs,
     )
     start = TensorDict({"preference": preferences[[0, 1, 0]]}, batch_size=[3])
     data = env.reset(start, set_state=False)

@@ -51,8 +51,11 @@ def main(cfg: DictConfig) -> None:
         report = write_report(run_dir, cfg, model, noisy, scores)
     card = {"behaviour_cloning_loss": cloning_loss, **scores, **report}
     ranking.save_model(run_dir / "reward_model", cfg, model, card)
+    utils.save_clone(
+        run_dir / "behaviour_clone", cfg, policy, {"behaviour_cloning_loss": cloning_loss}
+    )
     timeit.print()
-    print(f"reward model and report: {run_dir}")
+    print(f"reward model, report and behaviour clone: {run_dir}")
 
 
 if __name__ == "__main__":

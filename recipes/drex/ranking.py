@@ -11,7 +11,7 @@ import tqdm
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
-from envs.policy_env import NUM_SECTORS, OBSERVATION_SIZE
+from envs.policy_env import PARTS, observation_parts, observation_size, observed
 from torchrl_morl.data import RankedSnippets
 from torchrl_morl.deploy import save_reward_model
 from torchrl_morl.modules import RewardModel
@@ -19,24 +19,18 @@ from torchrl_morl.objectives import BradleyTerryLoss
 
 from .utils import ACTION_SPEC, metadata
 
-# Where the parts of the observation lie, see `envs.policy_env.policy_transforms`.
-_PARTS = {
-    "lidar": range(NUM_SECTORS),
-    "goal": range(NUM_SECTORS, NUM_SECTORS + 3),
-    "human": range(NUM_SECTORS + 3, OBSERVATION_SIZE),
-}
-
 
 def hidden_entries(cfg: DictConfig) -> list[int]:
     """Entries of the observation that the reward model must not know.
 
     Raises:
-        ValueError: for an input that does not exist, or none at all.
+        ValueError: for an input that does not exist, or none that the environment has.
     """
-    inputs, known = list(cfg.reward_model.inputs), [*_PARTS, "action"]
-    if not inputs or not set(inputs) <= set(known):
+    parts = observation_parts(**observed(cfg.env))
+    inputs, known = list(cfg.reward_model.inputs), [*PARTS, "action"]
+    if not set(inputs) & {*parts, "action"} or not set(inputs) <= set(known):
         raise ValueError(f"reward_model.inputs must be some of {known}, got {inputs}.")
-    return [entry for part, entries in _PARTS.items() if part not in inputs for entry in entries]
+    return [entry for part, entries in parts.items() if part not in inputs for entry in entries]
 
 
 def make_reward_model(cfg: DictConfig) -> RewardModel:
@@ -46,7 +40,7 @@ def make_reward_model(cfg: DictConfig) -> RewardModel:
     buffers alike: a part that R must not know keeps its place, and the weights behind it are zero.
     """
     section, hidden = cfg.reward_model, hidden_entries(cfg)
-    sizes = {"observation": OBSERVATION_SIZE}
+    sizes = {"observation": observation_size(cfg.env)}
     if "action" in section.inputs:
         sizes["action"] = ACTION_SPEC.shape[-1]
     model = RewardModel(

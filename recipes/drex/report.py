@@ -17,7 +17,13 @@ from torch import Tensor
 
 from envs import HUMAN_RADIUS
 from envs.geometry import wrap_angle
-from envs.policy_env import GOAL_SCALE, HUMAN_SCALE, NUM_SECTORS, LogRange
+from envs.policy_env import (
+    GOAL_SCALE,
+    HUMAN_SCALE,
+    NUM_SECTORS,
+    LogRange,
+    observation_size,
+)
 from envs.robots import get_robot
 from torchrl_morl.evaluation import steerability
 from torchrl_morl.modules import RewardModel
@@ -145,7 +151,8 @@ def heat_map(
         curve = -mirror * cfg.demonstrations.speed / radius / robot.max_turn_rate
         turn_rate = torch.where(leaving | ~orbiting, 0.0, curve)
         speed = torch.full_like(turn_rate, 2 * cfg.demonstrations.speed / robot.max_speed - 1)
-        features = observation(position, heading + turned, goal)
+        # Without the human's entries, which are the last ones, if the policies do not know them.
+        features = observation(position, heading + turned, goal)[..., : observation_size(cfg.env)]
         action = torch.stack((speed, turn_rate), dim=-1)
         data = TensorDict({"observation": features, "action": action}, batch_size=x.shape)
         score = model(data)["demo_score"].squeeze(-1)

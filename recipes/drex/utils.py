@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -11,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
+from torch.nn import functional as F
 from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import BCLoss
@@ -18,10 +20,13 @@ from torchrl.objectives import BCLoss
 from envs import NavigationEnv
 from envs.demonstrator import CircleDemonstrator, demonstrated_paths
 from envs.metrics import trajectories
-from envs.policy_env import OBSERVATION_SIZE, make_policy_env
+from envs.policy_env import make_policy_env, observation_size, simulated
+from torchrl_morl.deploy import save_policy
 from torchrl_morl.evaluation import discrete_frechet, episode_mask
 from torchrl_morl.modules import make_actor
 from torchrl_morl.modules.exploration import HeldEGreedyModule
+
+from ..pd_morl.utils import make_preference_space
 
 ACTION_SPEC = Bounded(-1.0, 1.0, (2,))
 _KEPT = ("observation", "action", "goal", "human", "pose", "human_pose")
@@ -98,7 +103,7 @@ def clone_behaviour(
     generator = torch.Generator().manual_seed(cfg.seed)
     policy = make_actor(
         ACTION_SPEC,
-        in_features=OBSERVATION_SIZE,
+        in_features=observation_size(cfg.env),
         in_keys=("observation",),
         num_cells=cfg.cloning.num_cells,
     )
@@ -137,6 +142,29 @@ def clone_behaviour(
     return policy.requires_grad_(False), best
 
 
+def save_clone(
+    folder: Path, cfg: DictConfig, policy: TensorDictSequential, card: dict[str, Any]
+) -> None:
+    """Write the clone as a policy that every evaluation opens: it does the same for all preferences."""
+    space = make_preference_space(with_demonstrations=True)
+    size = observation_size(cfg.env)
+    num_cells = tuple(cfg.cloning.num_cells)
+    actor = make_actor(ACTION_SPEC, in_features=size + space.num_tunable, num_cells=num_cells)
+    weights = policy.state_dict()
+    first = "module.0.module.0.weight"
+    weights[first] = F.pad(weights[first], (0, space.num_tunable))
+    actor.load_state_dict(weights)
+    save_policy(
+        folder,
+        actor,
+        space=space,
+        observation_size=size,
+        action_size=ACTION_SPEC.shape[-1],
+        num_cells=num_cells,
+        card=metadata(cfg) | card,
+    )
+
+
 def noisy_rollouts(
     cfg: DictConfig, policy: TensorDictModuleBase
 ) -> list[tuple[float, TensorDictBase]]:
@@ -153,11 +181,12 @@ def noisy_rollouts(
 @torch.no_grad()
 def demonstrated(cfg: DictConfig, count: int, seed: int) -> TensorDict:
     """What the demonstrator drives in the scenes of :func:`rollouts`, as if there were no boxes."""
-    env = NavigationEnv(num_envs=count, seed=seed, **cfg.env)
+    kwargs = simulated(cfg.env)
+    env = NavigationEnv(num_envs=count, seed=seed, **kwargs)
     start = env.reset()
     env.close()
     driver = CircleDemonstrator(**demonstrator_arguments(cfg))
-    return demonstrated_paths(driver, start, **cfg.env)
+    return demonstrated_paths(driver, start, **kwargs)
 
 
 def core_return(data: TensorDictBase) -> Tensor:

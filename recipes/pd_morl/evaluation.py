@@ -15,6 +15,7 @@ from torchrl.envs import EnvBase
 from envs import NavigationEnv
 from envs.demonstrator import CircleDemonstrator, demonstrated_paths
 from envs.metrics import episode_metrics, trajectories
+from envs.policy_env import simulated
 from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
 from torchrl_morl.preferences import PreferenceSpace
 
@@ -98,7 +99,7 @@ def evaluate(
 
 def demonstrated(cfg: DictConfig, card: dict[str, Any]) -> TensorDict:
     """What the demonstrator does in the scenes of the evaluation."""
-    kwargs = {**cfg.env, "num_envs": cfg.evaluation.episodes}
+    kwargs = {**simulated(cfg.env), "num_envs": cfg.evaluation.episodes}
     env = NavigationEnv(seed=cfg.evaluation.seed, **kwargs)
     start = env.reset()
     env.close()

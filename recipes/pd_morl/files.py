@@ -14,7 +14,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModule
 
-from envs.policy_env import OBSERVATION_SIZE
+from envs.policy_env import observation_size
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.preferences import PreferenceSpace
 
@@ -78,7 +78,7 @@ def save_training_policy(
         folder,
         actor,
         space=space,
-        observation_size=OBSERVATION_SIZE,
+        observation_size=observation_size(cfg.env),
         action_size=2,
         num_cells=tuple(cfg.network.num_cells),
         card=card,

@@ -17,7 +17,7 @@ from torchrl.modules import AdditiveGaussianModule
 from torchrl.record.loggers import Logger, get_logger
 
 from envs import NavigationEnv
-from envs.policy_env import OBSERVATION_SIZE, make_policy_env
+from envs.policy_env import make_policy_env, observation_size
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.deploy import load_reward_model
 from torchrl_morl.modules import (
@@ -50,7 +50,22 @@ def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | 
             "demonstrations.dataset needs demonstrations.reward_model: without one there is no "
             'objective "demo" for them.'
         )
-    return None if folder is None else load_reward_model(folder)
+    if folder is None:
+        return None
+    model, card = load_reward_model(folder)
+    size = model.module.members[0][0].in_features - 2 * ("action" in model.in_keys)
+    _check_observation(cfg, folder, size)
+    return model, card
+
+
+def _check_observation(cfg: DictConfig, source: str, size: int) -> None:
+    """Refuse what was made with another observation than the one of this training."""
+    expected = observation_size(cfg.env)
+    if size != expected:
+        raise ValueError(
+            f"{source} is about observations of {size} entries, here they have {expected}: both "
+            "recipes must be given the same env.observe_human."
+        )
 
 
 def make_preference_space(with_demonstrations: bool) -> PreferenceSpace:
@@ -84,7 +99,7 @@ def make_policy(
     spec = env.action_spec_unbatched
     actor = make_actor(
         spec,
-        in_features=OBSERVATION_SIZE + space.num_tunable,
+        in_features=observation_size(cfg.env) + space.num_tunable,
         num_cells=cfg.network.num_cells,
         device=device,
     )
@@ -109,7 +124,7 @@ def make_loss(
     critics = [
         make_vector_critic(
             space.num_objectives,
-            in_features=OBSERVATION_SIZE + space.num_tunable + spec.shape[-1],
+            in_features=observation_size(cfg.env) + space.num_tunable + spec.shape[-1],
             num_cells=cfg.network.num_cells,
             layer_norm=cfg.network.critic_layer_norm,
             device=device,
@@ -120,7 +135,11 @@ def make_loss(
         actor,
         critics,
         preference_space=space,
-        interpolator=PreferenceInterpolator(space.corners()),
+        interpolator=PreferenceInterpolator(
+            space.corners(),
+            identity=not cfg.loss.interpolated,
+            space="raw" if cfg.loss.angle == "official" else "normalized",
+        ),
         angle=cfg.loss.angle,
         angle_coeff_actor=cfg.loss.angle_coeff_actor,
         angle_coeff_critic=cfg.loss.angle_coeff_critic,
@@ -195,6 +214,7 @@ def prefill(
 ) -> None:
     """Put demonstrations into the buffer: vector rewards make them experience like any other."""
     data, _ = load_demonstrations(cfg.demonstrations.dataset)
+    _check_observation(cfg, cfg.demonstrations.dataset, data["observation"].shape[-1])
     data = data[: cfg.demonstrations.prefill]
     data = data[data["mask"]]
     preference = torch.zeros(len(data), space.num_tunable)
