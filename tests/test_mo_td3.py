@@ -657,9 +657,23 @@ def test_preference_of_the_next_state():
     assert not torch.allclose(_seeded(loss, changed)["next_state_value"], expected)
 
 
+def test_without_vmap_the_losses_are_the_same():
+    batch = _batch(8)
+    results = []
+    for deactivate_vmap in (False, True):
+        torch.manual_seed(0)
+        loss = _loss(deactivate_vmap=deactivate_vmap)
+        out = _seeded(loss, batch)
+        (out["loss_actor"] + out["loss_qvalue"]).backward()
+        gradients = {name: parameter.grad for name, parameter in loss.named_parameters()}
+        results.append((out.to_dict(), gradients))
+    torch.testing.assert_close(*results)
+
+
 @pytest.mark.parametrize("angle", ["normalized", "official"])
-def test_compiles_to_one_graph(angle):
-    loss = _loss(angle=angle)
+@pytest.mark.parametrize("deactivate_vmap", [False, True])
+def test_compiles_to_one_graph(angle, deactivate_vmap):
+    loss = _loss(angle=angle, deactivate_vmap=deactivate_vmap)
     SoftUpdate(loss, tau=0.1)
     batch = _batch(8)
     expected = _seeded(loss, batch)

@@ -6,9 +6,11 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
@@ -17,6 +19,7 @@ from torchrl.data import Bounded
 import recipes.evaluate
 from envs import NavigationEnv
 from envs.policy_env import OBSERVATION_SIZE
+from recipes.pd_morl.utils import compile_losses
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_policy
 from torchrl_morl.modules import make_actor
@@ -36,6 +39,7 @@ TINY = (
     "logger.interval=96",
     "env.max_episode_steps=30",
     "optim.updates_per_batch=4",
+    "compute.compile=false",
 )
 
 
@@ -184,6 +188,26 @@ def test_one_seed_gives_one_policy(trained, tmp_path):
     )
     assert first == second
     assert first[0] != first[1]
+
+
+def test_compiled_losses_train(trained, tmp_path):
+    # Other sums in the compiled losses, so not the same bits; "highest" leaves only those.
+    result = train(
+        tmp_path / "run",
+        "compute.compile=true",
+        "compute.matmul_precision=highest",
+        "collector.total_frames=672",
+    )
+    assert result.returncode == 0, result.stderr
+    assert "recompile_limit" not in result.stderr
+
+
+def test_without_a_compiler_the_training_says_so(monkeypatch):
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    cfg = OmegaConf.create({"device": "cpu", "compute": {"compile": True}})
+    losses = SimpleNamespace(value_loss=len, actor_loss=sum)
+    with pytest.warns(UserWarning, match="no-such-compiler is not installed"):
+        assert compile_losses(cfg, losses) == (len, sum)
 
 
 def test_training_that_ends_between_two_evaluations_keeps_its_policy(tmp_path):

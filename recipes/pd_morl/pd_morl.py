@@ -26,7 +26,8 @@ from . import evaluation, files, utils
 @hydra.main(version_base="1.3", config_path="", config_name="config")
 def main(cfg: DictConfig) -> None:
     """Train, evaluate while training, and save the last and the best policy."""
-    torch.set_num_threads(cfg.torch_threads)
+    torch.set_num_threads(cfg.compute.torch_threads)
+    torch.set_float32_matmul_precision(cfg.compute.matmul_precision)
     torch.manual_seed(cfg.seed)
     device = torch.device(cfg.device)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
@@ -40,12 +41,14 @@ def main(cfg: DictConfig) -> None:
     eval_env = utils.make_eval_env(cfg, space, reward_model)
     actor, policy = utils.make_policy(cfg, env, space, device)
     loss = utils.make_loss(cfg, env, space, actor, device)
+    value_loss, actor_loss = utils.compile_losses(cfg, loss)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
     averaged = AveragedModel(
         actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.optim.actor_average), use_buffers=False
     )
     optimizers, schedulers = utils.make_optimizers(cfg, loss)
-    replay_buffer = utils.make_replay_buffer(cfg, space, device)
+    updates_per_batch = cfg.optim.updates_per_batch
+    replay_buffer = utils.make_replay_buffer(cfg, space, device, batches=updates_per_batch)
     demonstration = evaluation.demonstrated(cfg, demo_card) if demo else None
     if demo and cfg.demonstrations.dataset:
         utils.prefill(cfg, replay_buffer, space, reward_model)
@@ -81,22 +84,25 @@ def main(cfg: DictConfig) -> None:
 
         metrics = {}
         if frames > cfg.collector.init_random_frames:
-            for _ in range(cfg.optim.updates_per_batch):
-                # Sampling replaces the preference of most transitions (hindsight).
-                with timeit("sample"):
-                    batch = replay_buffer.sample()
+            # Sampling replaces the preference of most transitions (hindsight); for all updates at
+            # once it costs hardly more than for one.
+            with timeit("sample"):
+                sample = replay_buffer.sample()
+            for batch in sample.split(cfg.replay_buffer.batch_size):
                 with timeit("update critic"):
-                    value_loss, info = loss.value_loss(batch)
-                    metrics |= utils.step(optimizers["critic"], value_loss, cfg.optim.max_grad_norm)
-                    metrics |= info | {"loss_qvalue": value_loss.detach()}
+                    loss_qvalue, info = value_loss(batch)
+                    metrics |= utils.step(
+                        optimizers["critic"], loss_qvalue, cfg.optim.max_grad_norm
+                    )
+                    metrics |= info | {"loss_qvalue": loss_qvalue.detach()}
                 updates += 1
                 if updates % cfg.optim.policy_delay == 0:
                     with timeit("update actor"):
-                        actor_loss, info = loss.actor_loss(batch)
-                        utils.step(optimizers["actor"], actor_loss, cfg.optim.max_grad_norm)
+                        loss_actor, info = actor_loss(batch)
+                        utils.step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
                         target_updater.step()
                         averaged.update_parameters(actor)
-                        metrics |= info | {"loss_actor": actor_loss.detach()}
+                        metrics |= info | {"loss_actor": loss_actor.detach()}
             for scheduler in schedulers.values():
                 scheduler.step()
             loss.pre_tanh_coeff = utils.pre_tanh_coeff(cfg, frames)

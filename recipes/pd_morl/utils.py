@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+import os
+import shutil
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
 import tqdm
 from omegaconf import DictConfig
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
@@ -29,6 +34,8 @@ from torchrl_morl.modules import (
 from torchrl_morl.objectives import MOTD3Loss
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceRelabel, PreferenceSampler, RewardModelReward
+
+Loss = Callable[[TensorDictBase], tuple[Tensor, dict[str, Tensor]]]
 
 TRANSITION = (
     "observation",
@@ -149,11 +156,31 @@ def make_loss(
         noise_clip=cfg.loss.noise_clip,
         loss_function=cfg.loss.loss_function,
         target_selection=cfg.loss.target_selection,
+        # One critic after the other: two small ones are no faster side by side, and torch.compile
+        # sees a single graph.
+        deactivate_vmap=True,
     )
     if cfg.loss.truncation_is_terminal:
         loss.set_keys(terminated="done")
     loss.make_value_estimator(gamma=cfg.loss.gamma)
     return loss.to(device)
+
+
+def compile_losses(cfg: DictConfig, loss: MOTD3Loss) -> tuple[Loss, Loss]:
+    """The critics' and the actor's loss, compiled if asked for and if a C++ compiler is there."""
+    losses = loss.value_loss, loss.actor_loss
+    if not cfg.compute.compile:
+        return losses
+    compiler = os.environ.get("CXX", "g++")
+    if cfg.device == "cpu" and shutil.which(compiler) is None:
+        warnings.warn(
+            f"compute.compile needs a C++ compiler and {compiler} is not installed: the training "
+            "runs without, at about two thirds of the speed.",
+            stacklevel=2,
+        )
+        return losses
+    value_loss, actor_loss = (torch.compile(function) for function in losses)
+    return value_loss, actor_loss
 
 
 def make_optimizers(
@@ -189,11 +216,12 @@ def pre_tanh_coeff(cfg: DictConfig, frames: int) -> float:
 
 
 def make_replay_buffer(
-    cfg: DictConfig, space: PreferenceSpace, device: torch.device
+    cfg: DictConfig, space: PreferenceSpace, device: torch.device, *, batches: int = 1
 ) -> TensorDictReplayBuffer:
+    """A buffer that relabels what it gives out: that many batches a sample."""
     return TensorDictReplayBuffer(
         storage=LazyTensorStorage(cfg.replay_buffer.size, device=device),
-        batch_size=cfg.replay_buffer.batch_size,
+        batch_size=batches * cfg.replay_buffer.batch_size,
         transform=Compose(
             RewardScaling(0.0, cfg.replay_buffer.reward_scale, in_keys=[("next", "reward")]),
             PreferenceRelabel(

@@ -340,11 +340,7 @@ class MOTD3Loss(TD3Loss):
         noise = (torch.randn_like(action) * self.policy_noise).clamp(
             -self.noise_clip, self.noise_clip
         )
-        next_td = tensordict.empty()
-        for key in self._state_keys:
-            value = tensordict.get(("next", key), None)
-            # As step_mdp does: what "next" lacks has not changed.
-            next_td.set(key, tensordict.get(key) if value is None else value)
+        next_td = self._next_state(tensordict)
         weights = self._weights(next_td.get(self.tensor_keys.preference))
         with self.target_actor_network_params.to_module(
             self.actor_network, preserve_module_state=False
@@ -360,6 +356,15 @@ class MOTD3Loss(TD3Loss):
             lowest = self._utility(weights, qvalues).argmin(0)[None, ..., None]
             qvalue = qvalues.gather(0, lowest.expand(1, *qvalues.shape[1:])).squeeze(0)
         return qvalue, self._utility(weights, qvalue)
+
+    def _next_state(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Inputs of the networks at the next state."""
+        next_td = tensordict.empty()
+        for key in self._state_keys:
+            value = tensordict.get(("next", key), None)
+            # As step_mdp does: what "next" lacks has not changed.
+            next_td.set(key, tensordict.get(key) if value is None else value)
+        return next_td
 
     def _target_qvalue(self, tensordict: TensorDictBase, next_qvalue: Tensor) -> Tensor:
         """Target ``[*B, K]`` from the value estimator; edits the tensordict."""
@@ -381,8 +386,15 @@ class MOTD3Loss(TD3Loss):
 
     def _all_qvalues(self, td: TensorDictBase, params: TensorDictBase) -> Tensor:
         """Values ``[N, *B, K]`` of all critics."""
-        td = td.expand(self.num_qvalue_nets, *td.batch_size)
-        return self._vmap_qvalue_network00(td, params).get(self.tensor_keys.state_action_value)
+        key = self.tensor_keys.state_action_value
+        if not self.deactivate_vmap:
+            td = td.expand(self.num_qvalue_nets, *td.batch_size)
+            return self._vmap_qvalue_network00(td, params).get(key)
+        values = []
+        for critic in params.unbind(0):
+            with critic.to_module(self.qvalue_network, preserve_module_state=False):
+                values.append(self.qvalue_network(td.copy()).get(key))
+        return torch.stack(values)
 
     def _weights(self, preference: Tensor) -> Tensor:
         """Weights ``[*B, K]`` of all objectives."""
