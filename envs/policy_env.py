@@ -23,6 +23,7 @@ from torchrl_morl.transforms import (
     PolarFeatures,
     PreferenceSampler,
     RewardModelReward,
+    VelocityInFrame,
 )
 
 from .navigation import NavigationEnv
@@ -30,13 +31,13 @@ from .navigation import NavigationEnv
 NUM_SECTORS = 30
 GOAL_SCALE = 5.0
 HUMAN_SCALE = 2.0
-PARTS = {"lidar": NUM_SECTORS, "goal": 3, "human": 3}
-"""Parts of the observation, in their order, and how many entries each has."""
+PARTS = {"lidar": NUM_SECTORS, "goal": 3, "human": 3, "human_velocity": 2}
+"""What the observation can have, in this order, and how many entries each part takes."""
 
-OBSERVATION_SIZE = sum(PARTS.values())
+OBSERVATION_SIZE = PARTS["lidar"] + PARTS["goal"] + PARTS["human"]
 """Entries of the observation, unless arguments of :func:`policy_transforms` change it."""
 
-_OBSERVED = ("observe_human",)
+_OBSERVED = ("observe_human", "observe_human_velocity")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,18 +51,24 @@ class LogRange:
         return (ranges / self.max_range).clamp_min(1e-3 / self.max_range).log() / 3
 
 
-def observation_parts(*, observe_human: bool = True) -> dict[str, range]:
+def observation_parts(
+    *, observe_human: bool = True, observe_human_velocity: bool = False
+) -> dict[str, range]:
     """Where the parts of the observation of :func:`policy_transforms` lie.
 
     Raises:
-        ValueError: for an argument that is neither true nor false.
+        ValueError: for an argument that is neither true nor false, or for the velocity of a human
+            who is not observed.
     """
-    if not isinstance(observe_human, bool):
-        raise ValueError(f"observe_human must be true or false, got {observe_human!r}.")
-    hidden = set() if observe_human else {"human"}
+    optional = {"human": observe_human, "human_velocity": observe_human_velocity}
+    for name, value in optional.items():
+        if not isinstance(value, bool):
+            raise ValueError(f"observe_{name} must be true or false, got {value!r}.")
+    if observe_human_velocity and not observe_human:
+        raise ValueError("observe_human_velocity needs observe_human.")
     parts, end = {}, 0
     for name, size in PARTS.items():
-        if name not in hidden:
+        if optional.get(name, True):
             parts[name] = range(end, end := end + size)
     return parts
 
@@ -81,7 +88,9 @@ def observation_size(arguments: Mapping[str, Any]) -> int:
     return sum(map(len, observation_parts(**observed(arguments)).values()))
 
 
-def policy_transforms(max_range: float = 4.0, *, observe_human: bool = True) -> Compose:
+def policy_transforms(
+    max_range: float = 4.0, *, observe_human: bool = True, observe_human_velocity: bool = False
+) -> Compose:
     """Transforms that build the policy's ``observation`` ``[*B, 36]`` and scale its action.
 
     ==========  =====================================================================
@@ -102,8 +111,15 @@ def policy_transforms(max_range: float = 4.0, *, observe_human: bool = True) -> 
     Keyword Args:
         observe_human: without it the observation ends with the goal, ``[*B, 33]``; the lidar still
             sees the human, as an obstacle like any other.
+        observe_human_velocity: two more entries, 36 and 37: the human's velocity over the ground in
+            the last step, ahead and to the left, m/s.
+
+    Raises:
+        ValueError: see :func:`observation_parts`.
     """
-    parts = observation_parts(observe_human=observe_human)
+    parts = observation_parts(
+        observe_human=observe_human, observe_human_velocity=observe_human_velocity
+    )
     scales = {"goal": GOAL_SCALE} | ({"human": HUMAN_SCALE} if observe_human else {})
     return Compose(
         ActionScaling(),
@@ -116,8 +132,10 @@ def policy_transforms(max_range: float = 4.0, *, observe_human: bool = True) -> 
             out_keys=[f"{name}_features" for name in scales],
             scale=list(scales.values()),
         ),
+        # Metres per second are of order one as they are.
+        *([VelocityInFrame(period=NavigationEnv.CONTROL_PERIOD)] if observe_human_velocity else []),
         CatTensors(
-            in_keys=[f"{name}_features" for name in parts],
+            in_keys=["human_velocity" if p == "human_velocity" else f"{p}_features" for p in parts],
             out_key="observation",
             dim=-1,
             sort=False,
@@ -131,6 +149,7 @@ def make_policy_env(
     reward_model: TensorDictModuleBase | None = None,
     keep_simulation: bool = False,
     observe_human: bool = True,
+    observe_human_velocity: bool = False,
     **kwargs: Any,
 ) -> TransformedEnv:
     """A :class:`NavigationEnv` as a preference-conditioned policy sees it.
@@ -145,6 +164,7 @@ def make_policy_env(
             snapshots; without them a transition takes 1 kB instead of 13 kB.
         observe_human: see :func:`policy_transforms`; the human's position itself stays in the
             rollouts, under keys that a policy does not read.
+        observe_human_velocity: see :func:`policy_transforms`; for humans who walk.
         **kwargs: see :class:`NavigationEnv`.
 
     Returns:
@@ -152,7 +172,11 @@ def make_policy_env(
         ``action`` is in [-1, 1].
     """
     base = NavigationEnv(snapshots=keep_simulation, **kwargs)
-    transforms = policy_transforms(base.max_range, observe_human=observe_human)
+    transforms = policy_transforms(
+        base.max_range,
+        observe_human=observe_human,
+        observe_human_velocity=observe_human_velocity,
+    )
     if sampler is not None:
         transforms.append(sampler)
     if reward_model is not None:

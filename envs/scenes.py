@@ -164,6 +164,14 @@ def _sample_moving_human(n: int, robot_radius: float, rng: torch.Generator) -> T
     return _scene(start, goal, human, human_goal, boxes)
 
 
+def _sample_mixed(n: int, robot_radius: float, rng: torch.Generator) -> TensorDict:
+    # Who stands has arrived: the human's goal is where the human is.
+    standing = _sample_static(n, robot_radius, rng)
+    walking = _sample_moving_human(n, robot_radius, rng)
+    walks = torch.rand(n, generator=rng, dtype=torch.float64) < 0.5
+    return torch.where(walks, walking, standing)
+
+
 def _sample_empty(n: int, robot_radius: float, rng: torch.Generator) -> TensorDict:
     scene = _sample_static(n, robot_radius, rng)
     return scene.set("boxes", scene["boxes"][:, :0])
@@ -224,6 +232,10 @@ STATIC = Scene("static", num_boxes=3, sample=_sample_static)
 MOVING_HUMAN = Scene("moving_human", num_boxes=3, sample=_sample_moving_human, human_speed=0.5)
 """Evaluation: the human walks from the goal to the start while the robot drives the other way."""
 
+MIXED = Scene("mixed", num_boxes=3, sample=_sample_mixed, human_speed=0.5)
+"""Training with moving humans: half of the scenes are as in ``static``, half as in
+``moving_human``."""
+
 CORRIDOR = Scene("corridor", num_boxes=4, sample=_sample_corridor)
 """Evaluation: an intersection of two corridors with the human in its middle."""
 
@@ -234,7 +246,7 @@ SHOWCASE = Scene("showcase", num_boxes=3, sample=_sample_showcase)
 """One fixed scene, for figures."""
 
 SCENES: dict[str, Scene] = {
-    scene.name: scene for scene in (STATIC, MOVING_HUMAN, CORRIDOR, EMPTY, SHOWCASE)
+    scene.name: scene for scene in (STATIC, MOVING_HUMAN, MIXED, CORRIDOR, EMPTY, SHOWCASE)
 }
 
 

@@ -14,6 +14,7 @@ import torch
 from omegaconf import DictConfig
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torch.nn import functional as F
 
 from envs import HUMAN_RADIUS
 from envs.geometry import wrap_angle
@@ -151,8 +152,9 @@ def heat_map(
         curve = -mirror * cfg.demonstrations.speed / radius / robot.max_turn_rate
         turn_rate = torch.where(leaving | ~orbiting, 0.0, curve)
         speed = torch.full_like(turn_rate, 2 * cfg.demonstrations.speed / robot.max_speed - 1)
-        # Without the human's entries, which are the last ones, if the policies do not know them.
-        features = observation(position, heading + turned, goal)[..., : observation_size(cfg.env)]
+        features = observation(position, heading + turned, goal)
+        # Entries about the human are the last ones: none of them, or a velocity of zero as well.
+        features = F.pad(features, (0, observation_size(cfg.env) - features.shape[-1]))
         action = torch.stack((speed, turn_rate), dim=-1)
         data = TensorDict({"observation": features, "action": action}, batch_size=x.shape)
         score = model(data)["demo_score"].squeeze(-1)

@@ -71,7 +71,7 @@ def _check_observation(cfg: DictConfig, source: str, size: int) -> None:
     if size != expected:
         raise ValueError(
             f"{source} is about observations of {size} entries, here they have {expected}: both "
-            "recipes must be given the same env.observe_human."
+            "recipes must be given the same env.observe_human and env.observe_human_velocity."
         )
 
 

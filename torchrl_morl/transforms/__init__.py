@@ -8,6 +8,7 @@ from torchrl_morl.transforms.preference import PreferenceSampler
 from torchrl_morl.transforms.relabel import PreferenceExpand, PreferenceRelabel
 from torchrl_morl.transforms.reward import ScalarizeReward
 from torchrl_morl.transforms.reward_model import RewardModelReward
+from torchrl_morl.transforms.velocity import VelocityInFrame
 
 __all__ = [
     "CheckFinite",
@@ -19,5 +20,6 @@ __all__ = [
     "PreferenceSampler",
     "RewardModelReward",
     "ScalarizeReward",
+    "VelocityInFrame",
     "check_finite",
 ]
