@@ -1,0 +1,261 @@
+"""Success of the policy against the wall time of its training: this project beside MORL-Baselines.
+
+One process trains one system with one seed and appends a line to a CSV file at every evaluation:
+the same scenes, preferences and function as in ``recipes.pd_morl``. The clock stands still during an
+evaluation, and runs from the construction of the agent, compilation included. Beside the wall time stands the
+time on a processor: with one thread it hardly depends on what else the machine does.
+
+Examples::
+
+    python -m benchmarks.time_to_quality train ours --seed 0
+    python -m benchmarks.time_to_quality train capql --seed 0 --minutes 60
+    python -m benchmarks.time_to_quality report runs/benchmarks/quality/*.csv
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import tempfile
+import time
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import torch
+import tqdm
+
+from recipes.pd_morl import evaluation, pd_morl, utils
+
+from .learner_systems import config
+
+OURS = "ours"
+FOLDER = Path("runs/benchmarks/quality")
+PEERS = ("capql", "capql-our-weights", "gpi-ls")
+
+
+class Log:
+    """A CSV file of evaluations, and a clock that they stop."""
+
+    def __init__(self, path: Path, system: str, seed: int) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            raise FileExistsError(f"{path} exists and is not overwritten: choose another --output.")
+        self.path, self.system, self.seed = path, system, seed
+        self.start()
+
+    def start(self) -> None:
+        """Set the clock to zero."""
+        self._paused = self._now() * 0
+        self._start = self._now()
+
+    @property
+    def seconds(self) -> tuple[float, float]:
+        """Of training: wall time, and time on a processor."""
+        wall, cpu = self._now() - self._start - self._paused
+        return wall, cpu
+
+    @staticmethod
+    def _now() -> np.ndarray:
+        return np.array((time.perf_counter(), time.process_time()))
+
+    def evaluate(self, steps: int, function, *args) -> evaluation.Evaluation:
+        """Call the recipe's evaluation and write its result down."""
+        (seconds, cpu), start = self.seconds, self._now()
+        result = function(*args)
+        row = {
+            "system": self.system,
+            "seed": self.seed,
+            "seconds": f"{seconds:.1f}",
+            "cpu_seconds": f"{cpu:.1f}",
+            "steps": steps,
+            "success": f"{result.success:.2f}",
+            "score": f"{result.score:.3f}",
+        }
+        for name, success in zip(result.names, result.columns["success"], strict=True):
+            row[f"success {name}"] = f"{success:.2f}"
+        with self.path.open("a", newline="") as file:
+            writer = csv.DictWriter(file, row)
+            if file.tell() == 0:
+                writer.writeheader()
+            writer.writerow(row)
+        tqdm.tqdm.write(
+            f"{seconds / 60:6.1f} min  {steps:>9,} steps  success {result.success:.1f} %"
+        )
+        self._paused += self._now() - start
+        return result
+
+
+def train_ours(log: Log, overrides: list[str]) -> None:
+    """The recipe as it is, its evaluation under the log."""
+    cfg = config(*(field for field in overrides if not field.startswith("hydra")))
+    interval = cfg.evaluation.interval
+    calls = 0
+    plain = evaluation.evaluate
+
+    def evaluate(*args):
+        nonlocal calls
+        calls += 1
+        steps = min(calls * interval, cfg.collector.total_frames)
+        return log.evaluate(steps, plain, *args)
+
+    with tempfile.TemporaryDirectory() as folder:
+        arguments = ["pd_morl", f"seed={log.seed}", f"hydra.run.dir={folder}/run", *overrides]
+        with (
+            mock.patch.object(sys, "argv", arguments),
+            mock.patch.object(evaluation, "evaluate", evaluate),
+        ):
+            log.start()
+            pd_morl.main()
+
+
+def train_peer(log: Log, args: argparse.Namespace) -> None:
+    """Until the time is up, evaluated every so many minutes of training."""
+    from . import quality_peers
+
+    cfg = config(*args.pd_morl)
+    torch.set_num_threads(cfg.compute.torch_threads)
+    scale = cfg.replay_buffer.reward_scale if args.reward_scale is None else args.reward_scale
+    space = utils.make_preference_space(with_demonstrations=False)
+    eval_env = utils.make_eval_env(cfg, space, None)
+    due = args.every
+
+    def after_step(steps: int) -> None:
+        nonlocal due
+        minutes = log.seconds[args.clock == "cpu"] / 60
+        finished = minutes >= args.minutes
+        if finished or minutes >= due:
+            due += args.every
+            log.evaluate(steps, evaluation.evaluate, cfg, eval_env, peer.actor.eval(), space, None)
+        if finished:
+            raise quality_peers.Finished
+
+    env = quality_peers.make_env(log.seed, scale, after_step)
+    log.start()
+    peer = quality_peers.Peer(log.system, env, seed=log.seed, gamma=args.gamma)
+    # GPI-LS itself evaluates, to choose its next weights: that is part of its training.
+    own_eval_env = quality_peers.make_env(log.seed + 1000, scale)
+    peer.train(args.max_steps, own_eval_env)
+
+
+# --- report --------------------------------------------------------------------------------------
+
+
+def read(paths: list[Path]) -> Runs:
+    """Evaluations of each system and seed, in their order."""
+    runs: Runs = {}
+    for path in paths:
+        with path.open() as file:
+            for row in csv.DictReader(file):
+                runs.setdefault((row["system"], row["seed"]), []).append(row)
+    return runs
+
+
+Runs = dict[tuple[str, str], list[dict[str, str]]]
+"""Evaluations by system and seed."""
+
+CLOCKS = {"wall": "seconds", "cpu": "cpu_seconds"}
+
+
+def minutes_to(rows: list[dict[str, str]], success: float, clock: str = "wall") -> float | None:
+    """Training time of the first evaluation with at least that success, in percent."""
+    for row in rows:
+        if float(row["success"]) >= success:
+            return float(row[CLOCKS[clock]]) / 60
+    return None
+
+
+def table(runs: Runs, success: float, clock: str = "wall") -> str:
+    """As Markdown."""
+    lines = [
+        f"| system | seed | {clock} minutes to {success:g} % | best | last | minutes | steps |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for (system, seed), rows in sorted(runs.items()):
+        reached = minutes_to(rows, success, clock)
+        best = max(float(row["success"]) for row in rows)
+        last = rows[-1]
+        lines.append(
+            f"| {system} | {seed} | {'not reached' if reached is None else f'{reached:.1f}'} "
+            f"| {best:.1f} % | {float(last['success']):.1f} % "
+            f"| {float(last[CLOCKS[clock]]) / 60:.1f} | {int(last['steps']):,} |"
+        )
+    return "\n".join(lines)
+
+
+def plot(runs: Runs, path: Path, clock: str = "wall") -> None:
+    """Success against minutes, one line a run, one colour a system."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(7, 4), layout="constrained")
+    systems = sorted({system for system, _ in runs})
+    for (system, seed), rows in sorted(runs.items()):
+        axes.plot(
+            [float(row[CLOCKS[clock]]) / 60 for row in rows],
+            [float(row["success"]) for row in rows],
+            color=f"C{systems.index(system)}",
+            label=system if seed == min(s for name, s in runs if name == system) else None,
+        )
+    axes.set(
+        xlabel=f"minutes of training ({clock})",
+        ylabel="success over the preferences, %",
+        ylim=(0, 101),
+    )
+    axes.legend()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+    pyplot.close(figure)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Train or report; ``--help`` lists the options."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    train = commands.add_parser("train", help="one system, one seed")
+    train.add_argument("system", choices=[OURS, *PEERS])
+    train.add_argument("--seed", type=int, default=0)
+    train.add_argument("--output", type=Path, help=f"(default: {FOLDER}/SYSTEM_SEED.csv)")
+    peers = train.add_argument_group("of the peers")
+    peers.add_argument("--minutes", type=float, default=60, help="of training")
+    peers.add_argument("--every", type=float, default=3, help="minutes between evaluations")
+    peers.add_argument("--gamma", type=float, default=0.99, help="discount (theirs: 0.99)")
+    peers.add_argument("--reward-scale", type=float, help="(default: the recipe's)")
+    peers.add_argument("--max-steps", type=int, default=10_000_000, help=argparse.SUPPRESS)
+    train.add_argument(
+        "--pd-morl", nargs="*", default=[], metavar="FIELD=VALUE", help="overrides of its recipe"
+    )
+    report = commands.add_parser("report", help="times to a success, from CSV files")
+    report.add_argument("paths", type=Path, nargs="+")
+    report.add_argument("--success", type=float, default=95, help="percent")
+    report.add_argument("--plot", type=Path, help="a picture of the curves")
+    for command in (train, report):
+        command.add_argument(
+            "--clock",
+            choices=CLOCKS,
+            default="wall",
+            help="cpu: time on a processor, for a machine that does other work too",
+        )
+    args = parser.parse_args(arguments)
+
+    if args.command == "report":
+        runs = read(args.paths)
+        print(table(runs, args.success, args.clock))
+        if args.plot:
+            plot(runs, args.plot, args.clock)
+        return
+    log = Log(args.output or FOLDER / f"{args.system}_{args.seed}.csv", args.system, args.seed)
+    if args.system == OURS:
+        train_ours(log, args.pd_morl)
+    else:
+        train_peer(log, args)
+    print(table(read([log.path]), 95, args.clock))
+
+
+if __name__ == "__main__":
+    main()
