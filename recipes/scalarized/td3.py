@@ -23,12 +23,15 @@ from . import training, utils
 @hydra.main(version_base="1.3", config_path="", config_name="td3")
 def main(cfg: DictConfig) -> None:
     """Train, evaluate while training, and save the last and the best policy."""
-    ignore_preference = utils.ignores_preference(cfg)
+    if cfg.objective not in ("preference", "core"):
+        raise ValueError(f"objective must be 'preference' or 'core', got {cfg.objective!r}.")
     task = training.make_task(cfg)
-    replay_buffer = utils.make_replay_buffer(cfg, task, ignore_preference)
+    if cfg.objective == "core":
+        task = utils.core_only(task)
+    replay_buffer = utils.make_replay_buffer(cfg, task)
 
     actor, policy = make_policy(cfg, task.env, task.space, task.device)
-    if ignore_preference:
+    if cfg.objective == "core":
         utils.cut_off_preference(actor, task.space)
     loss = utils.make_td3_loss(cfg, task, actor)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import torch
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictModule, TensorDictSequential, biased_softplus
-from torch import nn
+from torch import Tensor, nn
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.envs import UnaryTransform
 from torchrl.modules import ProbabilisticActor, TanhNormal
 from torchrl.objectives import LossModule, SACLoss, TD3Loss
 
 import torchrl_morl.modules
-from envs.policy_env import OBSERVATION_SIZE
+from envs.policy_env import observation_size
 from recipes.pd_morl import utils as pd_morl
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import ScalarizeReward
@@ -20,27 +22,26 @@ from torchrl_morl.transforms import ScalarizeReward
 from .training import Task
 
 
-def ignores_preference(cfg: DictConfig) -> bool:
-    """Whether the core objective is all that counts.
+class CoreSpace(PreferenceSpace):
+    """Preferences that weigh nothing: only objectives with a static weight count."""
 
-    Raises:
-        ValueError: for an unknown ``objective``.
-    """
-    if cfg.objective not in ("preference", "core"):
-        raise ValueError(f"objective must be 'preference' or 'core', got {cfg.objective!r}.")
-    return cfg.objective == "core"
+    def weights(self, preference: Tensor) -> Tensor:
+        return super().weights(torch.zeros_like(preference))
 
 
-def make_replay_buffer(
-    cfg: DictConfig, task: Task, ignore_preference: bool = False
-) -> TensorDictReplayBuffer:
+def core_only(task: Task) -> Task:
+    """The same task with rewards, and scores of the evaluation, that no preference changes."""
+    space = CoreSpace(task.space.objectives, task.space.static)
+    return dataclasses.replace(task, space=space)
+
+
+def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
     """PD-MORL's buffer of vector rewards, which adds ``scalar_reward`` to what is sampled.
 
-    With ``ignore_preference`` sampled preferences are zero, which leaves the core reward: its
-    weight is static.
+    In a :class:`CoreSpace` sampled preferences are zero, for :func:`cut_off_preference`.
     """
     replay_buffer = pd_morl.make_replay_buffer(cfg, task.space, task.device)
-    if ignore_preference:
+    if isinstance(task.space, CoreSpace):
         keys = ["preference", ("next", "preference")]
         zero = UnaryTransform(in_keys=keys, out_keys=keys, fn=torch.zeros_like)
         replay_buffer.append_transform(zero)
@@ -53,7 +54,7 @@ def make_replay_buffer(
 def make_actor(cfg: DictConfig, task: Task) -> TensorDictSequential:
     return torchrl_morl.modules.make_actor(
         task.env.action_spec_unbatched,
-        in_features=OBSERVATION_SIZE + task.space.num_tunable,
+        in_features=observation_size(cfg.env) + task.space.num_tunable,
         num_cells=cfg.network.num_cells,
         device=task.device,
     )
@@ -66,11 +67,19 @@ def make_stochastic_policy(
 
     It shares all layers with ``actor`` and adds one for the standard deviation, so that training it
     trains the actor, whose action is the tanh of the mean.
+
+    Raises:
+        ValueError: unless ``network.min_scale`` lies between zero and ``network.initial_scale``.
     """
+    initial, least = cfg.network.initial_scale, cfg.network.min_scale
+    if not 0 < least < initial:
+        raise ValueError(
+            f"network.min_scale must be in (0, network.initial_scale), got {least} and {initial}."
+        )
     *hidden, mean = actor[0].module
-    log_scale = nn.Linear(mean.in_features, mean.out_features, device=task.device)
     scale = nn.Sequential(
-        log_scale, biased_softplus(cfg.network.initial_scale, cfg.network.min_scale)
+        nn.Linear(mean.in_features, mean.out_features, device=task.device),
+        biased_softplus(initial, least),
     )
     return ProbabilisticActor(
         TensorDictSequential(
@@ -91,7 +100,7 @@ def make_stochastic_policy(
 class _Hidden(nn.Sequential):
     """The hidden layers of a :class:`torchrl.modules.MLP`, which concatenates its inputs."""
 
-    def forward(self, *inputs: torch.Tensor) -> torch.Tensor:
+    def forward(self, *inputs: Tensor) -> Tensor:
         return super().forward(torch.cat(inputs, dim=-1))
 
 
@@ -120,6 +129,8 @@ def make_td3_loss(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> T
 
 
 def make_sac_loss(cfg: DictConfig, task: Task, policy: ProbabilisticActor) -> SACLoss:
+    if not cfg.loss.alpha_init > 0:
+        raise ValueError(f"loss.alpha_init must be positive, got {cfg.loss.alpha_init}.")
     loss = SACLoss(
         policy,
         _make_critics(cfg, task),
@@ -137,7 +148,7 @@ def _make_critics(cfg: DictConfig, task: Task) -> list[TensorDictModule]:
     return [
         torchrl_morl.modules.make_vector_critic(
             1,
-            in_features=OBSERVATION_SIZE + task.space.num_tunable + action_size,
+            in_features=observation_size(cfg.env) + task.space.num_tunable + action_size,
             num_cells=cfg.network.num_cells,
             layer_norm=cfg.network.critic_layer_norm,
             device=task.device,
