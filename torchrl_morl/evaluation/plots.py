@@ -26,6 +26,7 @@ def draw_scene(
     boxes: Tensor,
     human_radius: float,
     goal_radius: float,
+    marker_scale: float = 1.0,
 ) -> None:
     """Draw start, goal, human and boxes seen from above.
 
@@ -39,6 +40,7 @@ def draw_scene(
         boxes: ``[M, 5]``: x, y, yaw, half length, half width.
         human_radius: metres.
         goal_radius: metres.
+        marker_scale: size of start, goal and heading, for small pictures.
     """
     from matplotlib.patches import Circle, Polygon
 
@@ -53,16 +55,23 @@ def draw_scene(
         "",
         xy=(x + nose[0], y + nose[1]),
         xytext=(x, y),
-        arrowprops={"arrowstyle": "-|>", "color": "black"},
+        arrowprops={
+            "arrowstyle": "-|>",
+            "color": "black",
+            "mutation_scale": 10 * marker_scale,
+            "linewidth": marker_scale,
+            "shrinkA": 0,
+            "shrinkB": 0,
+        },
         zorder=5,
     )
     gx, gy = np.asarray(goal)[:2]
     ax.add_patch(
         Circle((gx, gy), goal_radius, facecolor="none", edgecolor="#0072b2", linestyle="--")
     )
-    ax.plot(gx, gy, marker="*", markersize=12, color="#0072b2", zorder=5)
+    ax.plot(gx, gy, marker="*", markersize=12 * marker_scale, color="#0072b2", zorder=5)
     sx, sy = np.asarray(start)[:2]
-    ax.plot(sx, sy, marker="o", markersize=7, color="black", zorder=5)
+    ax.plot(sx, sy, marker="o", markersize=7 * marker_scale, color="black", zorder=5)
     ax.set_aspect("equal")
     ax.set_xlabel("x / m")
     ax.set_ylabel("y / m")

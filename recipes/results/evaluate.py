@@ -1,0 +1,229 @@
+"""Evaluate systems over the paper's 33 preferences, all in the same scenes.
+
+Examples::
+
+    python -m recipes.results.evaluate OUR=recipes/policies/navigation --output runs/results
+    python -m recipes.results.evaluate OUR=runs/a,runs/b,runs/c NH=runs/nh straight=reference:straight \\
+        --output runs/results --condition static moving_human corridor hsr wheels faults all
+
+Every system and condition becomes a folder with ``episodes.csv`` (a row an episode), ``summary.json``
+and ``trajectories.npz``. What is there already is skipped, so the command can be repeated after an
+interruption; nothing is overwritten.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import itertools
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tqdm
+from tensordict import TensorDict
+
+from torchrl_morl.evaluation import bootstrap_interval, cluster_rate_interval
+
+from ..demo import GOAL_RADIUS
+from ..sweep import sweep
+from .conditions import CHANGES, SCENE_KINDS, condition
+from .episodes import OUTCOMES, episode_values, trajectory_arrays
+from .files import SUMMARY, write_evaluation
+from .systems import System, load_system
+
+STEPS = 11
+"""Preferences along an edge of the simplex: 33 in all for three objectives."""
+
+
+def evaluate(
+    system: System, name: str, output: Path, *, episodes: int, seed: int, progress: bool = True
+) -> Path | None:
+    """Evaluate a system under a condition, unless that was done before.
+
+    Args:
+        system: what drives.
+        name: of the condition.
+        output: folder of all evaluations.
+
+    Keyword Args:
+        episodes: scenes, the same for every system, preference and training seed.
+        seed: of the scenes.
+        progress: show a bar.
+
+    Returns:
+        The folder, or ``None`` if it was there.
+
+    Raises:
+        ValueError: for an unknown condition.
+        FileExistsError: if the folder holds another evaluation.
+    """
+    arguments = condition(name)
+    folder = output / system.name / name
+    request = {
+        "system": system.name,
+        "condition": name,
+        "members": [{"seed": m.seed, "source": m.source} for m in system.members],
+        "episodes": episodes,
+        "scene_seed": seed,
+    }
+    if folder.exists():
+        _check_same(folder, request)
+        return None
+    started = time.perf_counter()
+    preferences = system.space.pairwise_grid(STEPS)
+    if system.ignores_preference:
+        preferences = preferences[:1]
+    results = []
+    total = len(preferences) * len(system.members)
+    with tqdm.tqdm(total=total, desc=f"{system.name} {name}", disable=not progress) as bar:
+        for member in system.members:
+            result = sweep(
+                member.actor(arguments["robot"]),
+                system.space,
+                preferences,
+                episodes=episodes,
+                seed=seed,
+                goal_radius=GOAL_RADIUS,
+                demonstrator=system.demonstrator(arguments["robot"]),
+                on_preference=lambda _: bar.update(),
+                **arguments,
+                **member.observed,
+            )
+            results.append(result)
+    scene, robot = arguments["scene"], arguments["robot"]
+    values = torch.stack([episode_values(one, scene=scene, robot=robot) for one in results])
+    columns = _columns(system, request, scene, preferences, values)
+    summary = request | {
+        "scene": scene,
+        "ignores_preference": system.ignores_preference,
+        "objectives": list(system.space.tunable),
+        "num_preferences": len(preferences),
+        "demonstration": system.demonstration,
+        **summarize(values),
+        "seconds": round(time.perf_counter() - started, 1),
+        "versions": {
+            package: importlib.metadata.version(package)
+            for package in ("torch", "torchrl", "tensordict", "mujoco", "numpy", "scipy")
+        },
+    }
+    trajectories = {name: value.numpy() for name, value in trajectory_arrays(results).items()}
+    write_evaluation(folder, columns, summary, trajectories)
+    return folder
+
+
+def summarize(values: TensorDict) -> dict[str, Any]:
+    """Rates over all episodes, and every metric for every preference.
+
+    Args:
+        values: ``[S, P, N]``: training seeds, preferences, scenes.
+
+    Returns:
+        ``rates`` with their intervals over scenes (:func:`cluster_rate_interval`), the one of each
+        training seed, and ``metrics``: for each a list with mean, 95 % bootstrap interval over scenes
+        and, of several, training seeds, and n for every preference. The interval is that of a median
+        where values are infinite.
+    """
+    rates = {}
+    for name in OUTCOMES:
+        outcomes = values[name].double().numpy()
+        interval = cluster_rate_interval(np.moveaxis(outcomes, 2, 0).reshape(values.shape[2], -1))
+        rates[name] = vars(interval) | {"per_seed": outcomes.mean((1, 2)).tolist()}
+    metrics: dict[str, list[dict[str, Any]]] = {}
+    for name in values.keys():
+        if name in OUTCOMES or name == "demonstration_free":
+            continue
+        table = values[name].double().numpy()
+        if np.isinf(table).any():
+            middle = np.nanmedian(table, axis=(0, 2))
+            metrics[name] = [{"median": float(value)} for value in middle]
+            continue
+        metrics[name] = [
+            vars(bootstrap_interval(table[:, row], shared_episodes=True, resamples=500))
+            for row in range(table.shape[1])
+        ]
+    return {"rates": rates, "metrics": metrics}
+
+
+def _columns(
+    system: System,
+    request: dict[str, Any],
+    scene: str,
+    preferences: torch.Tensor,
+    values: TensorDict,
+) -> dict[str, list[Any]]:
+    seeds = [member["seed"] for member in request["members"]]
+    _, num_preferences, num_scenes = values.shape
+    shown = preferences.double()
+    if system.ignores_preference:
+        shown = torch.full_like(shown, torch.nan)
+    # A tenth is 0.1, without the rounding of single precision.
+    shown = shown.mul(1e6).round().div(1e6).tolist()
+    places = list(itertools.product(seeds, range(num_preferences), range(num_scenes)))
+    columns: dict[str, list[Any]] = {
+        "system": [system.name] * len(places),
+        "condition": [request["condition"]] * len(places),
+        "seed": [seed for seed, _, _ in places],
+        "scene": [scene] * len(places),
+        "scene_index": [index for _, _, index in places],
+        "preference_index": [row for _, row, _ in places],
+    }
+    for entry, name in enumerate(system.space.tunable):
+        columns[f"preference_{name}"] = [shown[row][entry] for _, row, _ in places]
+    return columns | {name: value.flatten().tolist() for name, value in values.items()}
+
+
+def _check_same(folder: Path, request: dict[str, Any]) -> None:
+    found = json.loads((folder / SUMMARY).read_text()) if (folder / SUMMARY).is_file() else {}
+    different = [key for key, value in request.items() if found.get(key) != value]
+    if different:
+        raise FileExistsError(
+            f"{folder} holds another evaluation (different {', '.join(different)}) and is not "
+            "overwritten: remove it or choose another --output."
+        )
+
+
+def main() -> None:
+    """Evaluate; ``--help`` lists the options."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "systems",
+        nargs="+",
+        metavar="NAME=FOLDER[,FOLDER...]",
+        help="policies of one system, one folder per training seed; or NAME=reference:REFERENCE",
+    )
+    parser.add_argument("--output", type=Path, required=True, help="folder of all evaluations")
+    parser.add_argument(
+        "--condition",
+        nargs="+",
+        default=["static"],
+        help=f"a scene ({', '.join(SCENE_KINDS)}), a change of the static one "
+        f"({', '.join(CHANGES)}), or both: moving_human+faults (default: static)",
+    )
+    parser.add_argument("--episodes", type=int, default=100, help="scenes per preference")
+    parser.add_argument("--seed", type=int, default=7, help="of the scenes")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    try:
+        if args.episodes < 1:
+            raise ValueError(f"--episodes must be at least 1, got {args.episodes}.")
+        systems = [load_system(text) for text in args.systems]
+        for name in args.condition:
+            condition(name)
+    except (ImportError, OSError, ValueError) as error:
+        parser.error(str(error))
+    for system, name in itertools.product(systems, args.condition):
+        try:
+            folder = evaluate(system, name, args.output, episodes=args.episodes, seed=args.seed)
+        except FileExistsError as error:
+            parser.error(str(error))
+        print(f"{system.name} {name}: {folder or 'there already'}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

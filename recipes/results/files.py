@@ -1,0 +1,188 @@
+"""Files of an evaluation: ``OUTPUT/<system>/<condition>/`` with episodes, summary and trajectories.
+
+A folder appears whole or not at all, and is never changed afterwards.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import math
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+EPISODES, SUMMARY, TRAJECTORIES = "episodes.csv", "summary.json", "trajectories.npz"
+TEXT_COLUMNS = ("system", "condition", "scene")
+
+
+def write_evaluation(
+    folder: Path,
+    columns: Mapping[str, Sequence[Any]],
+    summary: Mapping[str, Any],
+    trajectories: Mapping[str, NDArray],
+) -> None:
+    """Write a folder: first beside its place, then moved there in one step.
+
+    Args:
+        folder: must not exist.
+        columns: of equal length, one entry an episode; NaN becomes an empty field.
+        summary: JSON values; NaN becomes null.
+        trajectories: plain arrays.
+
+    Raises:
+        FileExistsError: if the folder exists.
+        ValueError: for columns of different lengths.
+    """
+    if folder.exists():
+        raise FileExistsError(f"{folder} exists and is not overwritten.")
+    partial = folder.with_name(f".{folder.name}.{os.getpid()}")
+    partial.mkdir(parents=True)
+    try:
+        with (partial / EPISODES).open("w", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            for row in zip(*columns.values(), strict=True):
+                writer.writerow(map(_field, row))
+        text = json.dumps(_null_for_nan(summary), indent=2, allow_nan=False)
+        (partial / SUMMARY).write_text(text + "\n")
+        np.savez_compressed(partial / TRAJECTORIES, **trajectories)
+        partial.rename(folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """One system under one condition, read from its folder.
+
+    Args:
+        folder: where it lies.
+        summary: of the evaluation, see :func:`recipes.results.evaluate.summarize`.
+        columns: of ``episodes.csv``: float arrays of one value an episode.
+    """
+
+    folder: Path
+    summary: dict[str, Any]
+    columns: dict[str, NDArray[np.float64]]
+
+    @property
+    def system(self) -> str:
+        return self.summary["system"]
+
+    @property
+    def condition(self) -> str:
+        return self.summary["condition"]
+
+    @property
+    def objectives(self) -> list[str]:
+        """The tunable ones, in the order of :attr:`preferences`."""
+        return self.summary["objectives"]
+
+    @property
+    def seeds(self) -> list[int]:
+        """Of the trainings."""
+        return [member["seed"] for member in self.summary["members"]]
+
+    @property
+    def preferences(self) -> NDArray[np.float64]:
+        """``[P, K]``; a single row of NaN if the system ignores them."""
+        names = [f"preference_{name}" for name in self.objectives]
+        return np.stack([self.values(name)[0, :, 0] for name in names], axis=-1)
+
+    def values(self, name: str) -> NDArray[np.float64]:
+        """A column as ``[S, P, N]``: training seeds, preferences, scenes.
+
+        Raises:
+            ValueError: if there is no such column.
+        """
+        if name not in self.columns:
+            raise ValueError(f"{self.folder / EPISODES} has no column {name!r}.")
+        return self.columns[name].reshape(len(self.seeds), -1, self.summary["episodes"])
+
+    def corner(self, objective: str) -> int | None:
+        """Where this objective has all the weight, first; ``None`` if it has none anywhere."""
+        if self.summary["ignores_preference"]:
+            return 0
+        if objective not in self.objectives:
+            return None
+        hits = np.flatnonzero(self.preferences[:, self.objectives.index(objective)] == 1)
+        return int(hits[0]) if hits.size else None
+
+    @cached_property
+    def trajectories(self) -> dict[str, NDArray]:
+        """See :func:`recipes.results.episodes.trajectory_arrays`."""
+        with np.load(self.folder / TRAJECTORIES, allow_pickle=False) as arrays:
+            return dict(arrays)
+
+
+def read_evaluation(folder: Path) -> Evaluation:
+    """Read what :func:`write_evaluation` wrote.
+
+    Raises:
+        FileNotFoundError: if it is no such folder.
+        ValueError: if the files do not belong together.
+    """
+    for name in (EPISODES, SUMMARY):
+        if not (folder / name).is_file():
+            raise FileNotFoundError(f"{folder / name} not found: no evaluation.")
+    summary = json.loads((folder / SUMMARY).read_text())
+    with (folder / EPISODES).open(newline="") as file:
+        header, *rows = csv.reader(file)
+    expected = len(summary["members"]) * summary["num_preferences"] * summary["episodes"]
+    if len(rows) != expected:
+        raise ValueError(f"{folder / EPISODES} has {len(rows)} rows, {SUMMARY} says {expected}.")
+    columns = {
+        name: np.array([float(row[index] or "nan") for row in rows])
+        for index, name in enumerate(header)
+        if name not in TEXT_COLUMNS
+    }
+    return Evaluation(folder, summary, columns)
+
+
+def read_evaluations(directory: Path, condition: str) -> dict[str, Evaluation]:
+    """All systems evaluated under a condition, by name.
+
+    Raises:
+        FileNotFoundError: if there is none.
+        ValueError: if they did not drive in the same scenes.
+    """
+    folders = sorted(path.parent for path in directory.glob(f"*/{condition}/{SUMMARY}"))
+    if not folders:
+        raise FileNotFoundError(
+            f"No evaluation of {condition!r} in {directory}: make one with "
+            f"python -m recipes.results.evaluate NAME=FOLDER --output {directory} "
+            f"--condition {condition}"
+        )
+    found = {folder.parent.name: read_evaluation(folder) for folder in folders}
+    first = next(iter(found.values()))
+    for other in found.values():
+        for name in ("episodes", "scene_seed"):
+            if other.summary[name] != first.summary[name]:
+                raise ValueError(
+                    f"{other.folder} and {first.folder} differ in {name} "
+                    f"({other.summary[name]} and {first.summary[name]}): comparisons need the same "
+                    "scenes."
+                )
+    return found
+
+
+def _field(value: Any) -> Any:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.9g}"
+    return int(value) if isinstance(value, bool) else value
+
+
+def _null_for_nan(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _null_for_nan(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_null_for_nan(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,130 @@
+"""What is evaluated: a name, and one actor per training seed."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tensordict.nn import TensorDictModuleBase
+
+from envs.demonstrator import CircleDemonstrator
+from torchrl_morl.deploy import load_policy
+from torchrl_morl.preferences import PreferenceSpace
+
+from ..references import make_reference
+from ..sweep import observed_by
+
+_REFERENCE = "reference:"
+
+SPACE = PreferenceSpace(("core", "demo", "distance", "efficiency"), static={"core": 1.0})
+"""Of systems that were not trained, and so have no space of their own."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Member:
+    """One training of a system, or the only one of what was not trained.
+
+    Args:
+        seed: of the training.
+        actor: makes the actor for a robot of that name, writing actions in [-1, 1].
+        source: where it comes from, for the record: a folder and a hash of the weights.
+        observed: what it observes, arguments of :func:`envs.policy_env.make_policy_env`.
+    """
+
+    seed: int
+    actor: Callable[[str], TensorDictModuleBase]
+    source: str
+    observed: dict[str, bool] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class System:
+    """Trainings that differ in their seed alone.
+
+    Args:
+        name: of the folder and in tables.
+        members: at least one, with different seeds.
+        space: of the preferences.
+        demonstration: arguments of :class:`envs.demonstrator.CircleDemonstrator`, to which the
+            Frechet distance is measured; the default is the circle of the paper.
+        ignores_preference: the preference changes nothing, as for a policy of the core reward.
+    """
+
+    name: str
+    members: tuple[Member, ...]
+    space: PreferenceSpace = SPACE
+    demonstration: dict[str, Any] = dataclasses.field(default_factory=dict)
+    ignores_preference: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.name or not self.name.replace("-", "").replace("_", "").isalnum():
+            raise ValueError(f"A name is made of letters, digits, - and _, got {self.name!r}.")
+        seeds = [member.seed for member in self.members]
+        if not seeds or len(set(seeds)) != len(seeds):
+            raise ValueError(
+                f"{self.name} needs members with different training seeds, got {seeds}: the same "
+                "policy twice is no second training."
+            )
+
+    def demonstrator(self, robot: str) -> CircleDemonstrator:
+        """On a robot, with actions in m/s and rad/s."""
+        return CircleDemonstrator(**self.demonstration | {"robot": robot})
+
+
+def untrained(
+    name: str, actor: Callable[[str], TensorDictModuleBase], *, ignores_preference: bool = True
+) -> System:
+    """A system without a policy folder, such as a scripted driver.
+
+    Args:
+        name: of the system.
+        actor: makes it for a robot of that name, writing actions in [-1, 1].
+
+    Keyword Args:
+        ignores_preference: whether it does.
+
+    Examples:
+        >>> from envs.demonstrator import StraightDriver
+        >>> untrained("straight", lambda robot: StraightDriver(robot=robot, scaled=True)).name
+        'straight'
+    """
+    member = Member(seed=0, actor=actor, source=name)
+    return System(name, (member,), ignores_preference=ignores_preference)
+
+
+def load_system(argument: str) -> System:
+    """Read ``NAME=FOLDER``, ``NAME=FOLDER1,FOLDER2,...`` or ``NAME=reference:REFERENCE``.
+
+    Several folders are the same training with other seeds; references are those of
+    :mod:`recipes.references`.
+
+    Raises:
+        ImportError: for a reference that needs a package that is not installed.
+        ValueError: if it is not written so, or the policies do not belong together.
+        FileNotFoundError: if a folder holds no policy.
+    """
+    name, equals, folders = argument.partition("=")
+    if not equals or not all(folders.split(",")):
+        raise ValueError(f"Write NAME=FOLDER or NAME=FOLDER1,FOLDER2, got {argument!r}.")
+    if folders.startswith(_REFERENCE):
+        reference = folders.removeprefix(_REFERENCE)
+        make_reference(reference)  # an unknown one is an error now, not hours later
+        return untrained(name, lambda robot: make_reference(reference, robot))
+    members, facts = [], []
+    for place, folder in enumerate(map(Path, folders.split(","))):
+        actor, space, card = load_policy(folder)
+        seed = card.get("config", {}).get("seed", place)
+        digest = hashlib.sha256((folder / "policy.safetensors").read_bytes()).hexdigest()
+        source = f"{folder} sha256 {digest[:16]}"
+        members.append(Member(seed, lambda _, actor=actor: actor, source, observed_by(card)))
+        shown = {key: v for key, v in card.get("demonstrator", {}).items() if key != "robot"}
+        facts.append((space, shown, card.get("preference") == "ignored"))
+    if any(fact != facts[0] for fact in facts):
+        raise ValueError(
+            f"{name}: the policies differ in more than their seed (objectives, demonstration)."
+        )
+    space, shown, ignored = facts[0]
+    return System(name, tuple(members), space, shown, ignored)
