@@ -251,13 +251,14 @@ def demonstrated_paths(
     Args:
         demonstrator: writes actions in m/s and rad/s.
         start: snapshots ``[N]`` of a :class:`NavigationEnv`, such as the first step of a rollout.
-        **env_kwargs: of that environment: its scene, robot and so on.
+        **env_kwargs: of that environment: its scene, robot and so on; faults do not count.
 
     Returns:
         Batch size ``[N]``: ``position`` [N, T, 2], ``mask`` [N, T], and ``free`` [N], whether the
         path touches none of the boxes of the scene.
     """
-    env = NavigationEnv(num_envs=len(start), **env_kwargs)
+    # It is shown by a robot without faults.
+    env = NavigationEnv(num_envs=len(start), **{**env_kwargs, "perturbation": None})
     state = start.select(*env.state_spec.keys(True, True)).clone()
     boxes = state["scene", "boxes"].clone()
     state["scene", "boxes"][..., :2] += 1e3

@@ -7,6 +7,7 @@ Task of de Heuvel et al., "Demonstration-Enhanced Adaptable Multi-Objective Robo
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import mujoco
@@ -21,7 +22,7 @@ from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl, yaw_quaternion
 from .geometry import arctan2, cos_sin
 from .lidar import MIN_RANGE, Lidar
 from .mjcf import Drive, navigation_mjcf, time_step
-from .perturbation import Perturbation
+from .perturbation import Perturbation, get_perturbation
 from .rendering import Camera
 from .robots import Robot, get_robot
 from .scenes import Scene, get_scene
@@ -51,6 +52,9 @@ class NavigationEnv(BatchedMujocoEnv):
     ``scene``              nested        ground truth ``goal``, ``human_goal``, ``boxes``:
                                          snapshots and figures only (not with
                                          ``snapshots=False``)
+    ``faults``             ``[N, 4]``    amounts of the faults of the episode, as in
+                                         :class:`Perturbation`; only if episodes draw them, not with
+                                         ``snapshots=False``
     =====================  ============  =======================================================
 
     Objectives (equations 2 to 4 of the paper, with the sign of the goal term corrected):
@@ -69,7 +73,7 @@ class NavigationEnv(BatchedMujocoEnv):
         goal_radius: distance between the robot's centre and the goal at which it is reached, m.
         num_rays: lidar rays per revolution.
         max_range: range of the lidar, metres.
-        perturbation: sensor and actuation faults.
+        perturbation: sensor and actuation faults, also as a mapping of their names to amounts.
         max_episode_steps: steps of 0.2 s before truncation.
         camera: ``"top"`` shows the whole scene from above, ``"chase"`` follows the robot.
         **kwargs: see :class:`BatchedMujocoEnv`.
@@ -98,7 +102,7 @@ class NavigationEnv(BatchedMujocoEnv):
         goal_radius: float = 0.3,
         num_rays: int = 720,
         max_range: float = 4.0,
-        perturbation: Perturbation | None = None,
+        perturbation: Perturbation | Mapping[str, Any] | None = None,
         max_episode_steps: int = 300,
         camera: str | Camera = "top",
         **kwargs: Any,
@@ -116,7 +120,7 @@ class NavigationEnv(BatchedMujocoEnv):
         self.goal_radius = goal_radius
         self.num_rays = num_rays
         self.max_range = max_range
-        self.perturbation = perturbation or Perturbation()
+        self.perturbation = get_perturbation(perturbation)
         # Faults draw from their own generator, so that switching them on leaves scenes unchanged.
         self._fault_rng = torch.Generator()
         super().__init__(
@@ -158,7 +162,7 @@ class NavigationEnv(BatchedMujocoEnv):
 
     @property
     def _has_range_faults(self) -> bool:
-        return bool(self.perturbation.range_noise or self.perturbation.dropout)
+        return bool(self.perturbation.most["range_noise"] or self.perturbation.most["dropout"])
 
     def __getstate__(self) -> dict[str, Any]:
         state = super().__getstate__()
@@ -202,8 +206,10 @@ class NavigationEnv(BatchedMujocoEnv):
         )
         if self.snapshots:
             spec["scene"] = scene
-            if self.perturbation.latency:
+            if self.perturbation.most["latency"]:
                 spec["pending_action"] = Unbounded(shape=(n, 2), dtype=torch.float64)
+            if self.perturbation.is_random:
+                spec["faults"] = Unbounded(shape=(n, 4), dtype=torch.float64)
         self._task = NavigationTask(
             n,
             self.scene.num_boxes,
@@ -211,14 +217,15 @@ class NavigationEnv(BatchedMujocoEnv):
             goal_radius=self.goal_radius,
         )
         self._pending = torch.zeros(n, 2, dtype=torch.float64)
+        self._faults = self.perturbation.draw(n, torch.Generator())
         # Where robot and human were at the start: pictures show it.
         self._began = np.zeros((n, 2, 2))
         return spec
 
     def _make_state_spec(self, snapshot: Composite, observation: Composite) -> Composite:
-        keys = ("human_pose", "scene", *(("pending_action",) if self.perturbation.latency else ()))
-        for key in keys:
-            snapshot[key] = observation[key].clone()
+        for key in ("human_pose", "scene", "pending_action", "faults"):
+            if key in observation.keys():
+                snapshot[key] = observation[key].clone()
         return snapshot
 
     # --- reset ---------------------------------------------------------------------------------
@@ -232,6 +239,8 @@ class NavigationEnv(BatchedMujocoEnv):
         self._task.human_goal[rows] = sampled["human_goal"]
         self._task.boxes[rows] = sampled["boxes"]
         self._pending.numpy()[rows] = 0.0
+        if self.perturbation.is_random:
+            self._faults[ids] = self.perturbation.draw(len(rows), self._fault_rng)
         qpos = pose_to_qpos(sampled["start"], self.drive, self.model.nq)
         return torch.from_numpy(qpos), torch.zeros(len(rows), self.model.nv, dtype=torch.float64)
 
@@ -260,8 +269,10 @@ class NavigationEnv(BatchedMujocoEnv):
             (("scene", "boxes"), self._task.boxes),
         ):
             values[rows] = tensordict.get(key).cpu().numpy()[rows]
-        if self.perturbation.latency:
+        if self.perturbation.most["latency"]:
             self._pending[ids] = tensordict.get("pending_action").cpu()[ids]
+        if self.perturbation.is_random:
+            self._faults[ids] = tensordict.get("faults").cpu()[ids]
 
     def _on_reset(self, ids: Tensor) -> None:
         rows, task, robots = ids.numpy(), self._task, self._view["qpos"].numpy()[:, :2]
@@ -285,10 +296,14 @@ class NavigationEnv(BatchedMujocoEnv):
 
     def _prepare_ctrl(self, action: Tensor) -> Tensor:
         action = action.double()
-        if self.perturbation.latency:
-            action, self._pending = self._pending, action.clone()
+        if self.perturbation.most["latency"]:
+            late, command = self._faults[:, 3:] > 0, action
+            action = torch.where(late, self._pending, command)
+            self._pending = command.clone()
         low, high = self._action_low, self._action_high
-        action = self.perturbation.disturb_velocity(action, low, high, self._fault_rng)
+        action = self.perturbation.disturb_velocity(
+            action, self._faults, low, high, self._fault_rng
+        )
         velocity = action.numpy().clip(low.numpy(), high.numpy())
         return torch.from_numpy(velocity_to_ctrl(velocity, self.drive, self.robot))
 
@@ -339,8 +354,10 @@ class NavigationEnv(BatchedMujocoEnv):
                 {key: torch.from_numpy(values[rows].copy()) for key, values in scene.items()},
                 batch_size=[len(pose)],
             )
-        if self.snapshots and self.perturbation.latency:
-            out["pending_action"] = self._pending[rows].clone()
+            if self.perturbation.most["latency"]:
+                out["pending_action"] = self._pending[rows].clone()
+            if self.perturbation.is_random:
+                out["faults"] = self._faults[rows].clone()
         return out
 
     def _scan(
@@ -354,8 +371,9 @@ class NavigationEnv(BatchedMujocoEnv):
         radius = self._task.radius if ids is None else self._task.radius[:, ids]
         ranges = self._lidar.cast(pose[:, :2], cos, sin, obstacles, radius, ids)
         if self._has_range_faults:
+            amounts = self._faults if ids is None else self._faults[ids]
             ranges = self.perturbation.disturb_ranges(
-                torch.from_numpy(ranges), self.max_range, self._fault_rng
+                torch.from_numpy(ranges), amounts, self.max_range, self._fault_rng
             )
             ranges = ranges.clamp(MIN_RANGE, self.max_range).numpy()
         return torch.from_numpy(self._lidar.scan(ranges)).to(self.dtype)

@@ -141,10 +141,8 @@ def sweep(
     start = first[0]
     metrics, paths, demonstration = episode_metrics(rollout), trajectories(rollout), None
     if demonstrator is not None:
-        # It was shown by a robot without faults.
-        faultless = {**simulated(env_kwargs), "perturbation": None}
         demonstration = demonstrated_paths(
-            demonstrator, start, max_episode_steps=max_episode_steps, **faultless
+            demonstrator, start, max_episode_steps=max_episode_steps, **simulated(env_kwargs)
         )
         metrics["frechet"] = discrete_frechet(
             paths["position"], paths["mask"], demonstration["position"], demonstration["mask"]

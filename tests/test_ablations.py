@@ -194,6 +194,31 @@ def test_a_reward_model_of_the_state_alone_scores_any_action_alike():
         torch.testing.assert_close(stepped["next", "reward"][:, 1:2], expected)
 
 
+# --- other robots, humans and faults
+
+VARIANTS = {
+    "moving humans": ("env.scene=mixed", "env.observe_human_velocity=true"),
+    "random faults": (
+        "env.perturbation.range_noise=[0,0.05]",
+        "env.perturbation.dropout=[0,0.1]",
+        "env.perturbation.velocity_noise=[0,0.05]",
+        "env.perturbation.latency=[0,1]",
+        "env.robot=hsr",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_variant_trains_and_is_evaluated_elsewhere(name, tmp_path):
+    folder = morl(tmp_path / "run", *VARIANTS[name])
+    actor, space, card = load_policy(folder / "policies" / "000000384")
+    kwargs = {"episodes": 2, "seed": 0, "max_episode_steps": 5, "num_threads": 1}
+    result = sweep(
+        actor, space, space.corners(), scene="moving_human", **kwargs, **observed_by(card)
+    )
+    assert result.metrics.shape == (2, 2)
+
+
 # --- ingredients of PD-MORL
 
 INGREDIENTS = {
