@@ -39,8 +39,7 @@ TINY = (
     "logger.interval=96",
     "env.max_episode_steps=20",
     "optim.updates_per_batch=4",
-    # Settings of the process: other tests run in it.
-    "compute.compile=false",
+    # A setting of the process: other tests run in it.
     "compute.matmul_precision=highest",
 )
 
@@ -285,7 +284,7 @@ def test_what_is_not_specific_to_pd_morl_is_as_in_pd_morl(name):
     alone = {key for key in reference.keys() - ours.keys() if not key.startswith(("loss", "env"))}
     without_noise = {f"collector.{name}_sigma" for name in ("exploration", "final_exploration")}
     delayed = {"optim.policy_delay"}
-    assert alone <= {"evaluation.refit_momentum"} | (
+    assert alone <= {"evaluation.refit_momentum", "compute.compile"} | (
         without_noise | delayed if name == "sac" else set()
     )
 

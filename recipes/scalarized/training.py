@@ -106,7 +106,7 @@ def train(
         task: what :func:`make_task` made of it.
         policy: collects. If its last module has a ``step`` to anneal exploration, it is called.
         averaged: the policy that is evaluated and saved.
-        replay_buffer: keeps what is collected.
+        replay_buffer: keeps what is collected; a sample of it is for all updates of a batch of frames.
         update: one update of the agent; returns what is logged.
         schedulers: step once a batch of frames.
         state: what a checkpoint holds.
@@ -140,9 +140,9 @@ def train(
 
         metrics = {}
         if frames > cfg.collector.init_random_frames:
-            for _ in range(cfg.optim.updates_per_batch):
-                with timeit("sample"):
-                    batch = replay_buffer.sample()
+            with timeit("sample"):
+                sample = replay_buffer.sample()
+            for batch in sample.split(cfg.replay_buffer.batch_size):
                 updates += 1
                 info = update(batch, updates, frames)
                 metrics |= {name: value.detach() for name, value in info.items()}

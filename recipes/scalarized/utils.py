@@ -40,7 +40,9 @@ def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
 
     In a :class:`CoreSpace` sampled preferences are zero, for :func:`cut_off_preference`.
     """
-    replay_buffer = pd_morl.make_replay_buffer(cfg, task.space, task.device)
+    replay_buffer = pd_morl.make_replay_buffer(
+        cfg, task.space, task.device, batches=cfg.optim.updates_per_batch
+    )
     if isinstance(task.space, CoreSpace):
         keys = ["preference", ("next", "preference")]
         zero = UnaryTransform(in_keys=keys, out_keys=keys, fn=torch.zeros_like)
