@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from numpy.typing import ArrayLike, NDArray
 
-CORNERS = {"demo": "#c2255c", "distance": "#0b3c8c", "efficiency": "#f2b705"}
+CORNERS = {"demo": "#d6336c", "distance": "#0b3c8c", "efficiency": "#f2b705"}
 """Colours of the objectives."""
 
 LABELS = {"demo": "demonstration", "distance": "distance", "efficiency": "efficiency"}

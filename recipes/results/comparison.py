@@ -139,8 +139,7 @@ def steering(evaluation: Evaluation) -> dict[str, float]:
     found = {}
     if evaluation.summary["ignores_preference"]:
         return found
-    size = 11
-    preferences = evaluation.preferences
+    size, preferences = evaluation.edge_steps, evaluation.preferences
     for entry, objective in enumerate(evaluation.objectives):
         metric, _ = STEERED[objective]
         means = np.array([_mean(values) for values in np.moveaxis(evaluation.values(metric), 1, 0)])

@@ -35,12 +35,16 @@ from .episodes import OUTCOMES, episode_values, trajectory_arrays
 from .files import SUMMARY, write_evaluation
 from .systems import System, load_system
 
-STEPS = 11
-"""Preferences along an edge of the simplex: 33 in all for three objectives."""
-
 
 def evaluate(
-    system: System, name: str, output: Path, *, episodes: int, seed: int, progress: bool = True
+    system: System,
+    name: str,
+    output: Path,
+    *,
+    episodes: int,
+    seed: int,
+    steps: int = 11,
+    progress: bool = True,
 ) -> Path | None:
     """Evaluate a system under a condition, unless that was done before.
 
@@ -52,6 +56,7 @@ def evaluate(
     Keyword Args:
         episodes: scenes, the same for every system, preference and training seed.
         seed: of the scenes.
+        steps: preferences along an edge of the simplex: with 11 the 33 of the paper.
         progress: show a bar.
 
     Returns:
@@ -69,12 +74,13 @@ def evaluate(
         "members": [{"seed": m.seed, "source": m.source} for m in system.members],
         "episodes": episodes,
         "scene_seed": seed,
+        "edge_steps": steps,
     }
     if folder.exists():
         _check_same(folder, request)
         return None
     started = time.perf_counter()
-    preferences = system.space.pairwise_grid(STEPS)
+    preferences = system.space.pairwise_grid(steps)
     if system.ignores_preference:
         preferences = preferences[:1]
     results = []
@@ -124,8 +130,8 @@ def summarize(values: TensorDict) -> dict[str, Any]:
     Returns:
         ``rates`` with their intervals over scenes (:func:`cluster_rate_interval`), the one of each
         training seed, and ``metrics``: for each a list with mean, 95 % bootstrap interval over scenes
-        and, of several, training seeds, and n for every preference. The interval is that of a median
-        where values are infinite.
+        and, of several, training seeds, and n for every preference; of times to collision, which may be
+        infinite, the median.
     """
     rates = {}
     for name in OUTCOMES:
@@ -137,9 +143,8 @@ def summarize(values: TensorDict) -> dict[str, Any]:
         if name in OUTCOMES or name == "demonstration_free":
             continue
         table = values[name].double().numpy()
-        if np.isinf(table).any():
-            middle = np.nanmedian(table, axis=(0, 2))
-            metrics[name] = [{"median": float(value)} for value in middle]
+        if name == "min_time_to_collision":  # infinite for a robot that is never on course for one
+            metrics[name] = [{"median": float(np.median(one))} for one in np.moveaxis(table, 1, 0)]
             continue
         metrics[name] = [
             vars(bootstrap_interval(table[:, row], shared_episodes=True, resamples=500))
@@ -207,19 +212,26 @@ def main() -> None:
     )
     parser.add_argument("--episodes", type=int, default=100, help="scenes per preference")
     parser.add_argument("--seed", type=int, default=7, help="of the scenes")
+    parser.add_argument(
+        "--steps", type=int, default=11, help="preferences along each edge: 33 in all with 11"
+    )
     args = parser.parse_args()
     torch.set_num_threads(1)
     try:
-        if args.episodes < 1:
-            raise ValueError(f"--episodes must be at least 1, got {args.episodes}.")
+        for option, least in (("episodes", 1), ("steps", 2)):
+            if getattr(args, option) < least:
+                raise ValueError(
+                    f"--{option} must be at least {least}, got {getattr(args, option)}."
+                )
         systems = [load_system(text) for text in args.systems]
         for name in args.condition:
             condition(name)
     except (ImportError, OSError, ValueError) as error:
         parser.error(str(error))
+    options = {"episodes": args.episodes, "seed": args.seed, "steps": args.steps}
     for system, name in itertools.product(systems, args.condition):
         try:
-            folder = evaluate(system, name, args.output, episodes=args.episodes, seed=args.seed)
+            folder = evaluate(system, name, args.output, **options)
         except FileExistsError as error:
             parser.error(str(error))
         print(f"{system.name} {name}: {folder or 'there already'}", flush=True)

@@ -92,6 +92,11 @@ class Evaluation:
         return [member["seed"] for member in self.summary["members"]]
 
     @property
+    def edge_steps(self) -> int:
+        """Preferences along an edge; the edges follow each other in :attr:`preferences`."""
+        return self.summary["edge_steps"]
+
+    @property
     def preferences(self) -> NDArray[np.float64]:
         """``[P, K]``; a single row of NaN if the system ignores them."""
         names = [f"preference_{name}" for name in self.objectives]
@@ -164,7 +169,7 @@ def read_evaluations(directory: Path, condition: str) -> dict[str, Evaluation]:
     found = {folder.parent.name: read_evaluation(folder) for folder in folders}
     first = next(iter(found.values()))
     for other in found.values():
-        for name in ("episodes", "scene_seed"):
+        for name in ("episodes", "scene_seed", "edge_steps"):
             if other.summary[name] != first.summary[name]:
                 raise ValueError(
                     f"{other.folder} and {first.folder} differ in {name} "

@@ -26,7 +26,6 @@ from .colors import LABELS, edge_map
 from .files import Evaluation
 from .quantitative import STYLE
 
-STEPS = 11
 _WIDTH, _HEIGHT = 7.16, 8.8  # of two columns, and of a page with room for a caption, inches
 _MARGIN = 0.4
 _NARROWEST = 3.4  # metres, so that titles fit
@@ -86,7 +85,8 @@ def qualitative_figure(path: Path, columns: list[Column], *, seed: int = 0) -> N
     if first.summary["ignores_preference"]:
         raise ValueError(f"{first.system} ignores preferences: nothing to show over them.")
     objectives, preferences = first.objectives, first.preferences
-    edges = range(0, len(preferences), STEPS)
+    steps = first.edge_steps
+    edges = range(0, len(preferences), steps)
     drawn = [_upright(column, seed) for column in columns]
     boxes = [_limits(scene) for scene in drawn]
     widths = [right - left for left, right, _, _ in boxes]
@@ -105,11 +105,11 @@ def qualitative_figure(path: Path, columns: list[Column], *, seed: int = 0) -> N
             layout="constrained",
         )
         for line, start in zip(axes, edges):
-            ends = preferences[start], preferences[start + STEPS - 1]
+            ends = preferences[start], preferences[start + steps - 1]
             low, high = (objectives[int(end.argmax())] for end in ends)
             cmap = edge_map(low, high)
             for ax, scene, limits in zip(line, drawn, boxes):
-                _draw(ax, scene, slice(start, start + STEPS), cmap)
+                _draw(ax, scene, slice(start, start + steps), cmap)
                 left, right, bottom, top = limits
                 middle = (bottom + top) / 2  # equal heights, so that all have one scale
                 ax.set_xlim(left, right)
@@ -212,7 +212,7 @@ def _legend() -> list[Line2D]:
     dot = {"linestyle": "", "markeredgecolor": "black", "markersize": 5}
     return [
         Line2D([], [], **_DEMONSTRATION, label="demonstration"),
-        Line2D([], [], marker="o", color=_HUMAN, **dot, label="human, at its nearest"),
-        Line2D([], [], color=_HUMAN, linestyle=":", linewidth=1.2, label="its way"),
+        Line2D([], [], marker="o", color=_HUMAN, **dot, label="human, when nearest"),
+        Line2D([], [], color=_HUMAN, linestyle=":", linewidth=1.2, label="way of the human"),
         Line2D([], [], marker="*", color="#0072b2", linestyle="", markersize=6, label="goal"),
     ]
