@@ -99,7 +99,9 @@ def test_training_saves_policies_that_load(trained):
 def test_run_folder_tells_what_happened(trained):
     name, folder = trained
     text = (folder / "policies" / "000000288" / "policy.json").read_text()
-    config = OmegaConf.create(json.loads(text)["card"]["config"])
+    card = json.loads(text)["card"]
+    assert card.get("preference") == ("ignored" if name == "core" else None)
+    config = OmegaConf.create(card["config"])
     for override in OVERRIDES[name]:
         key, value = override.split("=")
         assert str(OmegaConf.select(config, key)) == value

@@ -66,8 +66,11 @@ def save_training_policy(
     space: PreferenceSpace,
     result: Evaluation,
     demo_card: dict[str, Any] | None,
+    **facts: Any,
 ) -> None:
+    """Save a policy whose card tells what made it, how it did, and other ``facts``."""
     card = {
+        **facts,
         "config": OmegaConf.to_container(cfg, resolve=True),
         "evaluation": {"preferences": result.names, **result.columns},
         "score": result.score,

@@ -42,6 +42,8 @@ class Task:
     demo_card: dict[str, Any] | None
     demonstration: TensorDict | None
     """What the demonstrator does in the scenes of the evaluation."""
+    facts: dict[str, str] = dataclasses.field(default_factory=dict)
+    """For the cards of its policies."""
 
 
 def make_task(cfg: DictConfig) -> Task:
@@ -164,7 +166,7 @@ def train(
             checkpoints.save(Checkpoint(**state), step=frames, metadata={"score": score})
             folder = task.run_dir / "policies" / f"{frames:09d}"
             files.save_training_policy(
-                folder, cfg, averaged.module, task.space, result, task.demo_card
+                folder, cfg, averaged.module, task.space, result, task.demo_card, **task.facts
             )
             tqdm.tqdm.write(result.table(frames))
     progress.close()

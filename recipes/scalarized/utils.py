@@ -32,7 +32,7 @@ class CoreSpace(PreferenceSpace):
 def core_only(task: Task) -> Task:
     """The same task with rewards, and scores of the evaluation, that no preference changes."""
     space = CoreSpace(task.space.objectives, task.space.static)
-    return dataclasses.replace(task, space=space)
+    return dataclasses.replace(task, space=space, facts={"preference": "ignored"})
 
 
 def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
