@@ -24,6 +24,7 @@ PANELS = {
     "min_clearance": "smallest clearance\nto a box / m",
     "min_human_distance": "smallest distance\nto the human / m",
 }
+_CORE = {"color": "black", "linestyle": ":", "linewidth": 1.2}
 STYLE = {"font.size": 7, "axes.linewidth": 0.6, "xtick.major.width": 0.6, "ytick.major.width": 0.6}
 
 
@@ -68,24 +69,26 @@ def quantitative_figure(path: Path, evaluation: Evaluation, core: Evaluation | N
             layout="constrained",
         )
         for letter, ax, (name, label) in zip("abcd", axes, PANELS.items()):
-            _panel(ax, evaluation, name, colors)
-            if core is not None:
-                middle = np.nanmean(core.values(name)[:, 0])
-                ax.axhline(middle, color="black", linestyle=":", linewidth=1.2, label=core.system)
-                if letter == "a":
-                    ax.legend(loc="lower right", fontsize=6, frameon=False, handlelength=2)
+            _panel(ax, evaluation, name, colors, core)
             ax.set_ylabel(label)
             ax.grid(axis="y", alpha=0.3, linewidth=0.5)
             ax.text(0.01, 0.97, f"({letter})", transform=ax.transAxes, va="top", weight="bold")
-        _shares(axes[-1], preferences, evaluation.objectives)
+        _shares(axes[-1], preferences, evaluation.objectives, core)
         axes[-1].set_xlim(-0.8, len(place) - 0.2)
         fig.savefig(path, dpi=300)
     plt.close(fig)
 
 
-def _panel(ax: plt.Axes, evaluation: Evaluation, name: str, colors: NDArray) -> None:
+def _panel(
+    ax: plt.Axes, evaluation: Evaluation, name: str, colors: NDArray, core: Evaluation | None
+) -> None:
     values = evaluation.values(name)
     tops = []
+    if core is not None:
+        middle = _mean_over_seeds(core.values(name)[:, 0])
+        if not np.isnan(middle).all():
+            ax.axhline(np.nanmean(middle), **_CORE)
+            tops.append(np.nanmean(middle))
     for row in range(values.shape[1]):
         interval = bootstrap_interval(values[:, row], shared_episodes=True, resamples=1000)
         if not interval.n:
@@ -113,7 +116,9 @@ def _panel(ax: plt.Axes, evaluation: Evaluation, name: str, colors: NDArray) -> 
     ax.set_ylim(low, bar + 0.16 * (high - low))
 
 
-def _shares(ax: plt.Axes, preferences: NDArray, objectives: list[str]) -> None:
+def _shares(
+    ax: plt.Axes, preferences: NDArray, objectives: list[str], core: Evaluation | None
+) -> None:
     """What the preferences are: their entries, stacked."""
     place = np.arange(len(preferences))
     bottom = np.zeros(len(preferences))
@@ -121,11 +126,18 @@ def _shares(ax: plt.Axes, preferences: NDArray, objectives: list[str]) -> None:
         share = preferences[:, entry]
         ax.bar(place, share, 0.9, bottom, color=CORNERS[name], label=LABELS[name])
         bottom += share
+    if core is not None:
+        ax.plot([], [], **_CORE, label=core.system)
     ax.set_ylim(0, 1)
     ax.set_ylabel("weight")
     ax.set_xticks([])
     ax.legend(
-        loc="upper center", bbox_to_anchor=(0.5, -0.04), ncols=3, frameon=False, handlelength=1
+        loc="upper center",
+        bbox_to_anchor=(0.45, -0.04),
+        ncols=len(objectives) + 1,
+        frameon=False,
+        handlelength=1.2,
+        columnspacing=1.2,
     )
     ax.text(-0.145, 1.0, "(e)", transform=ax.transAxes, va="bottom", weight="bold")
 

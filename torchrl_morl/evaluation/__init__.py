@@ -2,6 +2,13 @@
 
 from .frechet import discrete_frechet, resample_path
 from .indicators import expected_utility, hypervolume, steerability
+from .intervals import (
+    Interval,
+    bootstrap_interval,
+    cluster_rate_interval,
+    interquartile_mean,
+    wilson_interval,
+)
 from .metrics import path_length, spl, stl, time_to_goal
 from .motion import cumulative_heading_change, mean_jerk, path_irregularity, stalled_time
 from .overlay import draw_preference
@@ -15,18 +22,7 @@ from .proximity import (
     space_violations,
 )
 from .rollout import episode_mask, rollout_preferences
-from .statistics import (
-    Interval,
-    TestResult,
-    bootstrap_interval,
-    cluster_rate_interval,
-    cohen_d,
-    cohen_dz,
-    interquartile_mean,
-    significance_mark,
-    t_test,
-    wilson_interval,
-)
+from .statistics import TestResult, cohen_d, cohen_dz, significance_mark, t_test
 from .video import VideoLogger, write_video
 
 __all__ = [
