@@ -31,7 +31,7 @@ TRAINING = (
     "collector.total_frames=384",
     "collector.init_random_frames=192",
     "collector.frames_per_batch=96",
-    "evaluation.interval=288",
+    "evaluation.interval=384",
     "evaluation.episodes=2",
     "replay_buffer.batch_size=16",
     "replay_buffer.size=4000",
@@ -143,7 +143,7 @@ def test_both_ablations_from_demonstrations_to_an_evaluated_policy(tmp_path, mon
         actor, space, card = load_policy(policy)
         assert space.tunable == ("demo", "distance", "efficiency")
         assert actor[0].module[0].in_features == 33 + 3
-        assert observed_by(card) == {"observe_human": False}
+        assert observed_by(card)["observe_human"] is False
         assert card["demonstrator"]["radius"] == 1.0
         kwargs = {"episodes": 2, "seed": 0, "max_episode_steps": 5, "num_threads": 1}
         demonstrator = CircleDemonstrator(**card["demonstrator"])
