@@ -19,6 +19,7 @@ import os
 import platform
 import statistics
 import time
+from collections import Counter
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -32,6 +33,9 @@ from .learner_systems import OURS, OURS_EQUAL, SYSTEMS, UPDATES, Learner, System
 
 Rates = dict[tuple[str, int], list[float]]
 """Of every system and number of threads: updates per second, or operations of matrix products."""
+
+Spent = dict[tuple[str, int], Counter[str]]
+"""Seconds in each stage of the updates."""
 
 Clock = Callable[[], float]
 CLOCKS: dict[str, Clock] = {"wall": time.perf_counter, "cpu": time.process_time}
@@ -75,7 +79,7 @@ def measure(
     size: int,
     compiled: bool,
     clock: Clock = time.perf_counter,
-) -> tuple[Rates, dict[str, float]]:
+) -> tuple[Rates, Spent, dict[str, float]]:
     """Rates of every system, and of the matrix products beside them; operations per update."""
     # Every system compiles anew for every number of threads.
     torch._dynamo.config.recompile_limit = 64
@@ -84,6 +88,7 @@ def measure(
     products = {precision: MatrixRate(precision) for precision in PRECISIONS}
     learners: dict[str, Learner] = {}
     rates: Rates = {}
+    spent: Spent = {}
     total = len(names) * len(threads) * (1 + rounds)
     with tqdm.tqdm(total=total, unit="turn", desc="start", mininterval=1) as progress:
         for name in names:
@@ -102,22 +107,27 @@ def measure(
                         this[precision, number] = product(clock)
                     for name in names:
                         set_up(SYSTEMS[name], number)
-                        this[name, number] = turn(learners[name], clock)
+                        stages = spent.setdefault((name, number), Counter())
+                        this[name, number] = turn(learners[name], clock, stages)
                         progress.update()
             except KeyboardInterrupt:
                 # What is complete is worth a table.
                 break
             for case, rate in this.items():
                 rates.setdefault(case, []).append(rate)
-    return rates, operations
+    return rates, spent, operations
 
 
-def turn(learner: Learner, clock: Clock) -> float:
-    """Updates per second over one turn."""
-    start = clock()
+def turn(learner: Learner, clock: Clock, stages: Counter[str] | None = None) -> float:
+    """Updates per second over one turn; adds the seconds of every stage up."""
+    stages = Counter() if stages is None else stages
+    now = start = clock()
     for _ in range(UPDATES):
-        learner.update()
-    return UPDATES / (clock() - start)
+        for name, run in learner.stages():
+            run()
+            before, now = now, clock()
+            stages[name] += now - before
+    return UPDATES / (now - start)
 
 
 # --- report --------------------------------------------------------------------------------------
@@ -152,7 +162,23 @@ def table(rates: Rates, operations: dict[str, float], threads: int) -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in rows)
 
 
-def report(rates: Rates, operations: dict[str, float], missing: dict[str, str]) -> str:
+def stage_table(spent: Spent, rates: Rates, threads: int) -> str:
+    """Milliseconds of an update by stage, in the mean over its cycle, as Markdown."""
+    systems = [name for name, number in spent if number == threads]
+    stages = list(dict.fromkeys(stage for name in systems for stage in spent[name, threads]))
+    rows = [["system", *stages], ["---"] * (1 + len(stages))]
+    for name in systems:
+        seconds = spent[name, threads]
+        # Of all rounds, while the rate is a median: scaled, so that the row adds up to an update.
+        scale = 1000 / statistics.median(rates[name, threads]) / seconds.total()
+        cells = (f"{scale * seconds[stage]:.2f}" if stage in seconds else "" for stage in stages)
+        rows.append([name, *cells])
+    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+
+
+def report(
+    rates: Rates, spent: Spent, operations: dict[str, float], missing: dict[str, str]
+) -> str:
     lines = []
     for threads in sorted({number for _, number in rates}):
         lines += [f"{threads} thread{'s' * (threads > 1)}:", "", table(rates, operations, threads)]
@@ -161,6 +187,7 @@ def report(rates: Rates, operations: dict[str, float], missing: dict[str, str]) 
             for precision in PRECISIONS
         )
         lines += ["", f"matrix products, GFLOP/s: {products}", ""]
+        lines += ["milliseconds of an update:", "", stage_table(spent, rates, threads), ""]
     lines += [f"not run: {name}: {reason}" for name, reason in missing.items()]
     return "\n".join([*lines, machine()])
 
@@ -230,7 +257,7 @@ def main(arguments: list[str] | None = None) -> None:
     torchrl.logger.setLevel(logging.WARNING)
     torch.manual_seed(0)
     names, missing = available(args.systems)
-    rates, operations = measure(
+    rates, spent, operations = measure(
         names,
         args.threads,
         rounds=args.rounds,
@@ -238,7 +265,9 @@ def main(arguments: list[str] | None = None) -> None:
         compiled=not args.no_compile,
         clock=CLOCKS[args.clock],
     )
-    print(report(rates, operations, missing), f"clock: {args.clock}", sep="\n")
+    if not rates:
+        raise SystemExit("interrupted before the first round was complete.")
+    print(report(rates, spent, operations, missing), f"clock: {args.clock}", sep="\n")
     write_csv(args.output, rates)
     print(f"every measurement: {args.output}")
 

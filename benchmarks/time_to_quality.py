@@ -25,6 +25,7 @@ from unittest import mock
 import numpy as np
 import torch
 import tqdm
+from torchrl.collectors import Collector
 
 from recipes.pd_morl import evaluation, pd_morl, utils
 
@@ -89,22 +90,24 @@ class Log:
 
 def train_ours(log: Log, overrides: list[str]) -> None:
     """The recipe as it is, its evaluation under the log."""
-    cfg = config(*(field for field in overrides if not field.startswith("hydra")))
-    interval = cfg.evaluation.interval
-    calls = 0
-    plain = evaluation.evaluate
+    steps = 0
+    plain_evaluate, plain_rollout = evaluation.evaluate, Collector.rollout
 
     def evaluate(*args):
-        nonlocal calls
-        calls += 1
-        steps = min(calls * interval, cfg.collector.total_frames)
-        return log.evaluate(steps, plain, *args)
+        return log.evaluate(steps, plain_evaluate, *args)
+
+    def rollout(collector: Collector):
+        nonlocal steps
+        data = plain_rollout(collector)
+        steps += data.numel()
+        return data
 
     with tempfile.TemporaryDirectory() as folder:
         arguments = ["pd_morl", f"seed={log.seed}", f"hydra.run.dir={folder}/run", *overrides]
         with (
             mock.patch.object(sys, "argv", arguments),
             mock.patch.object(evaluation, "evaluate", evaluate),
+            mock.patch.object(Collector, "rollout", rollout),
         ):
             log.start()
             pd_morl.main()

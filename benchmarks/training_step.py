@@ -32,24 +32,27 @@ from torchrl.objectives import SoftUpdate
 from envs import NavigationEnv
 from recipes.pd_morl import evaluation, files, pd_morl, utils
 
-from .learner import machine
+from .learner import CLOCKS, machine
 from .learner_systems import config
 
 # The first calls of compiled functions compile, forward and backward.
 _COMPILING_CALLS = 2
 
 OTHER = "everything else"
+SET_UP = "set-up, once"
 COMPILING = "torch.compile, once"
+ONCE = (SET_UP, COMPILING)
 
 
 class Watch:
     """Seconds by name. What runs within something else counts for itself alone."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
         self.seconds: Counter[str] = Counter()
         self.calls: Counter[str] = Counter()
-        self._running = [OTHER]
-        self._since = time.perf_counter()
+        self.clock = clock
+        self._running = [SET_UP]
+        self._since = clock()
 
     @property
     def running(self) -> str:
@@ -57,9 +60,14 @@ class Watch:
 
     def stop(self) -> None:
         """Bring the seconds up to date."""
-        now = time.perf_counter()
+        now = self.clock()
         self.seconds[self.running] += now - self._since
         self._since = now
+
+    def set_up(self) -> None:
+        """What runs outside of everything else no longer counts as the set-up."""
+        self.stop()
+        self._running[0] = OTHER
 
     @contextlib.contextmanager
     def __call__(self, name: str) -> Iterator[None]:
@@ -115,9 +123,13 @@ def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
         value_loss, actor_loss = compile_losses(cfg, loss)
         return of("critic", value_loss), of("actor", actor_loss)
 
-    compile_losses = utils.compile_losses
+    def rollout(collector: Collector):
+        watch.set_up()
+        with watch("collect"):
+            return plain_rollout(collector)
+
+    compile_losses, plain_rollout = utils.compile_losses, Collector.rollout
     plain = (
-        (Collector, "rollout", "collect"),
         (NavigationEnv, "_step", _inside),
         (NavigationEnv, "_reset", _inside),
         (TensorDictReplayBuffer, "extend", "replay: extend"),
@@ -139,25 +151,26 @@ def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
             timed = watch.around(getattr(owner, attribute), name, compiling=compiled and backward)
             stack.enter_context(mock.patch.object(owner, attribute, timed))
         stack.enter_context(mock.patch.object(utils, "compile_losses", losses))
+        stack.enter_context(mock.patch.object(Collector, "rollout", rollout))
         yield
 
 
-def profile(overrides: list[str]) -> tuple[Watch, float]:
-    """Train, and return the watch and the seconds that it ran."""
+def profile(overrides: list[str], clock: str = "wall") -> Watch:
+    """Train under a watch."""
     cfg = config(*(field for field in overrides if not field.startswith("hydra")))
     with tempfile.TemporaryDirectory() as folder:
         arguments = ["pd_morl", *overrides, f"hydra.run.dir={folder}/run"]
-        watch = Watch()
+        watch = Watch(CLOCKS[clock])
         patched = watched(watch, compiled=cfg.compute.compile)
         with mock.patch.object(sys, "argv", arguments), patched:
             pd_morl.main()
         watch.stop()
-    return watch, sum(watch.seconds.values())
+    return watch
 
 
 def table(watch: Watch) -> str:
     """Shares as Markdown, without what happens once."""
-    seconds = {name: value for name, value in watch.seconds.items() if name != COMPILING}
+    seconds = {name: value for name, value in watch.seconds.items() if name not in ONCE}
     total = sum(seconds.values())
     rows = ["| part | seconds | calls | share |", "| --- | --- | --- | --- |"]
     for name, value in sorted(seconds.items(), key=lambda item: -item[1]):
@@ -168,7 +181,7 @@ def table(watch: Watch) -> str:
 
 def summary(watch: Watch, frames: int) -> str:
     """Rates, and the share of sampling that is asked for."""
-    seconds = {name: value for name, value in watch.seconds.items() if name != COMPILING}
+    seconds = {name: value for name, value in watch.seconds.items() if name not in ONCE}
     updates = watch.calls["critic: loss"]
     learning = ("replay: sample", "critic", "actor", "soft update")
     update = sum(value for name, value in seconds.items() if name.startswith(learning))
@@ -178,7 +191,8 @@ def summary(watch: Watch, frames: int) -> str:
         f"{frames:,} environment steps and {updates:,} updates in {total:.1f} s: "
         f"{frames / total:.0f} steps/s, {updates / total:.1f} updates/s; one update "
         f"{1000 * update / updates:.2f} ms, of which sampling and relabelling {share:.1f} %\n"
-        f"{COMPILING}: {watch.seconds[COMPILING]:.1f} s (not in the table)"
+        + ", ".join(f"{name}: {watch.seconds[name]:.1f} s" for name in ONCE)
+        + " (not in the table)"
     )
 
 
@@ -191,6 +205,12 @@ def main(arguments: list[str] | None = None) -> None:
         "--frames", type=int, help="environment steps (default: evaluation.interval)"
     )
     parser.add_argument("--output", type=Path, default=Path("runs/benchmarks/training_step.md"))
+    parser.add_argument(
+        "--clock",
+        choices=CLOCKS,
+        default="wall",
+        help="cpu: seconds of this process, for a machine that does other work too",
+    )
     parser.add_argument("overrides", nargs="*", help="of recipes/pd_morl/config.yaml")
     args = parser.parse_args(arguments)
     shipped = config()
@@ -202,8 +222,8 @@ def main(arguments: list[str] | None = None) -> None:
         f"collector.init_random_frames={batch}",
         *args.overrides,
     ]
-    watch, _ = profile(overrides)
-    text = "\n\n".join((table(watch), summary(watch, frames), machine()))
+    watch = profile(overrides, args.clock)
+    text = "\n\n".join((table(watch), summary(watch, frames), machine(), f"clock: {args.clock}"))
     print(text)
     args.output.parent.mkdir(parents=True, exist_ok=True)
     args.output.write_text(text + "\n")

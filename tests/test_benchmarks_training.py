@@ -1,0 +1,130 @@
+"""Benchmarks of a training: shares add up, pieces run once, and curves are written and read."""
+
+from __future__ import annotations
+
+import csv
+import time
+
+import pytest
+
+from benchmarks import test_units as units
+from benchmarks import time_to_quality, training_step
+from benchmarks.peers_morl_baselines import algorithm
+
+TINY = (
+    "compute.compile=false",
+    "network.num_cells=[16,16]",
+    "env.num_envs=4",
+    "env.max_episode_steps=4",
+    "collector.frames_per_batch=24",
+    "collector.init_random_frames=24",
+    "replay_buffer.size=200",
+    "replay_buffer.batch_size=16",
+    "optim.updates_per_batch=2",
+    "evaluation.episodes=2",
+    "logger.backends=[csv]",
+)
+
+
+def test_watch_counts_what_runs_inside_for_itself():
+    watch = training_step.Watch()
+    assert watch.running == training_step.SET_UP
+    watch.set_up()
+    inner = watch.around(lambda: time.sleep(0.02), lambda parent: f"in {parent}")
+    with watch("outer"):
+        inner()
+        time.sleep(0.01)
+    watch.stop()
+    assert set(watch.seconds) == {training_step.SET_UP, training_step.OTHER, "outer", "in outer"}
+    assert watch.seconds["in outer"] > watch.seconds["outer"] > watch.seconds[training_step.OTHER]
+    assert watch.calls == {"outer": 1, "in outer": 1}
+
+
+def test_training_step_prints_every_share(tmp_path, capsys):
+    output = tmp_path / "shares.md"
+    training_step.main(["--frames", "72", "--output", str(output), *TINY])
+    text = output.read_text()
+    assert text.strip() in capsys.readouterr().out
+    for part in (
+        "collect",
+        "collect, simulation",
+        "replay: sample, relabel",
+        "critic: loss",
+        "critic: backward",
+        "critic: clip, Adam",
+        "actor: loss",
+        "actor: backward",
+        "actor: clip, Adam",
+        "soft update, average",
+        "evaluate, simulation",
+        "log, save",
+    ):
+        assert f"| {part} |" in text
+    shares = [
+        float(line.split("|")[4].rstrip(" %")) for line in text.splitlines() if " % |" in line
+    ]
+    assert sum(shares) == pytest.approx(100, abs=1)
+    assert "72 environment steps and 4 updates" in text
+
+
+def test_curve_of_ours_is_written_and_read(tmp_path, capsys):
+    path = tmp_path / "ours.csv"
+    command = ["train", "ours", "--seed", "3", "--output", str(path), "--pd-morl", *TINY]
+    time_to_quality.main([*command, "collector.total_frames=72", "evaluation.interval=24"])
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["steps"]) for row in rows] == [48, 72]
+    assert float(rows[0]["seconds"]) < float(rows[1]["seconds"])
+    assert {"success distance", "success efficiency", "success balanced"} <= rows[0].keys()
+    capsys.readouterr()
+    picture = tmp_path / "curves.png"
+    time_to_quality.main(["report", str(path), "--success", "0", "--plot", str(picture)])
+    assert "| ours | 3 | 0." in capsys.readouterr().out
+    assert picture.exists()
+    with pytest.raises(FileExistsError):
+        time_to_quality.main(command)
+
+
+def test_time_to_a_success_is_that_of_the_first_evaluation():
+    rows = [
+        {"success": value, "seconds": 60 * minute, "cpu_seconds": 30 * minute}
+        for minute, value in enumerate(("20", "96", "80", "99"))
+    ]
+    assert time_to_quality.minutes_to(rows, 95) == 1
+    assert time_to_quality.minutes_to(rows, 97, clock="cpu") == 1.5
+    assert time_to_quality.minutes_to(rows, 100) is None
+
+
+@pytest.mark.parametrize("system", time_to_quality.PEERS)
+def test_peers_train_on_the_navigation_task(system, tmp_path):
+    try:
+        algorithm("gpi_pd.gpi_pd_continuous_action")
+    except ImportError:
+        pytest.skip("MORL-Baselines is an optional dependency of the benchmark")
+    path = tmp_path / "peer.csv"
+    command = ["train", system, "--minutes", "0.01", "--every", "0.01", "--output", str(path)]
+    time_to_quality.main([*command, "--pd-morl", *TINY])
+    with path.open() as file:
+        assert len(list(csv.DictReader(file))) == 1
+
+
+def test_units_run():
+    class Once:
+        """Calls what it is given, as pytest-benchmark does many times."""
+
+        def __call__(self, function, *args):
+            return function(*args)
+
+        def pedantic(self, function, **kwargs):
+            return function()
+
+    cfg = units.config(*TINY)
+    ours = units.Ours(cfg, units.transitions(200))
+    ours.update()
+    names = [name for name in dir(units) if name.startswith("test_")]
+    assert len(names) >= 7
+    for name in names:
+        test = getattr(units, name)
+        arguments = {"benchmark": Once(), "cfg": cfg, "ours": ours}
+        wanted = test.__code__.co_varnames[: test.__code__.co_argcount]
+        test(**{argument: arguments[argument] for argument in wanted})
