@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import logging
 import math
 import multiprocessing
 import os
@@ -22,7 +21,6 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-import torchrl
 import tqdm
 
 from .growth_cases import CASES, CLOCKS, Cost, Options, measure
@@ -64,7 +62,7 @@ _MEMORY = Quantity(
     lambda cost: cost.bytes,
     lambda size, cost: f"{cost.bytes / MEGABYTE:,.0f}",
     # What the allocator keeps for later differs from run to run.
-    floor=16 * MEGABYTE,
+    floor=8 * MEGABYTE,
 )
 
 QUANTITIES = {
@@ -98,23 +96,21 @@ def run(sizes: dict[str, tuple[int, ...]], options: Options) -> Costs:
 
 
 def exponent(costs: dict[int, float]) -> float:
-    """Slope of log(cost) over log(size) through the three largest sizes.
+    """Slope of log(cost) over log(size) between the two largest sizes.
 
-    What a size costs at all hides its growth at the small ones.
+    At the smaller ones the fixed part of the cost hides its growth.
     """
-    points = [(math.log(size), math.log(costs[size])) for size in sorted(costs)[-3:]]
-    x_mean, y_mean = (sum(values) / len(points) for values in zip(*points, strict=True))
-    spread = sum((x - x_mean) ** 2 for x, _ in points)
-    if not spread:
+    if len(costs) < 2:
         return math.nan
-    return sum((x - x_mean) * (y - y_mean) for x, y in points) / spread
+    small, large = sorted(costs)[-2:]
+    return math.log(costs[large] / costs[small]) / math.log(large / small)
 
 
 def verdict(slope: float) -> str:
     """In a word."""
     if math.isnan(slope):
         return "one size"
-    for limit, word in ((0.25, "flat"), (0.8, "below linear"), (1.2, "linear")):
+    for limit, word in ((0.25, "flat"), (0.75, "below linear"), (1.25, "linear")):
         if slope < limit:
             return word
     return "worse than linear"
@@ -185,7 +181,6 @@ def main(arguments: list[str] | None = None) -> None:
     if args.sizes and (len(args.grows) > 1 or min(args.sizes) < 1):
         parser.error("--sizes are positive, and those of one --grows.")
 
-    torchrl.logger.setLevel(logging.WARNING)
     options = Options(args.clock, args.seconds, args.scenes, args.steps)
     sizes = {case: tuple(args.sizes or SIZES[case]) for case in args.grows}
     costs = run(sizes, options)

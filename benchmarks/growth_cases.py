@@ -5,6 +5,7 @@ Everything has the sizes of the recipe but the one that grows. ``CASES`` names t
 
 from __future__ import annotations
 
+import logging
 import resource
 import statistics
 import sys
@@ -13,6 +14,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
+import torchrl
 
 from envs import NavigationEnv
 from envs.demonstrator import CircleDemonstrator
@@ -159,6 +161,7 @@ CASES: dict[str, Callable[[int, Options], float]] = {
 
 def measure(case: str, size: int, options: Options) -> Cost:
     """In a process of its own, since a peak never falls."""
+    torchrl.logger.setLevel(logging.WARNING)
     torch.set_num_threads(1)
     torch.manual_seed(0)
     before = peak()
