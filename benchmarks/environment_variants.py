@@ -122,8 +122,7 @@ class BatchLoop:
         self.batch.step(nstep=FRAME_SKIP)
         position, cos, sin = self.qpos[:, :2], np.cos(self.qpos[:, 2]), np.sin(self.qpos[:, 2])
         self.task.locate(position)
-        x, y = self.task.way[1:, :, 0], self.task.way[1:, :, 1]
-        obstacles = np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
+        obstacles = self.task.ahead_and_left(cos, sin)[:, 1:]
         self.lidar.cast(position, cos, sin, obstacles, self.task.radius)
 
     def close(self) -> None:

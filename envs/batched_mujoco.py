@@ -291,19 +291,16 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
             self._elapsed[ids] = 0
         self._on_reset(ids)
         rows = self._observe(ids)
-        if ids.numel() == self.num_envs:
-            out = TensorDict(rows, batch_size=self.batch_size)
-        else:
-            # Only the rows being reset are read from the result; the others stay what they were.
-            out = TensorDict(rows, batch_size=ids.shape).apply(
-                lambda values: values.new_zeros(self.num_envs, *values.shape[1:]).index_copy_(
-                    0, ids, values
-                ),
-                batch_size=self.batch_size,
-            )
+        # Given here, they cost TorchRL no specs; an episode never ends at its start.
+        for name in ("done", "terminated", "truncated"):
+            rows[name] = torch.zeros(len(ids), 1, dtype=torch.bool)
+        if ids.numel() != self.num_envs:
+            # Only the rows being reset are read from the result.
+            rows = {name: self._among_zeros(values, ids) for name, values in rows.items()}
             if self.from_pixels:
-                # A VideoRecorder does read them: the others keep their last picture.
-                out["pixels"] = self._pixels.clone()
+                # A VideoRecorder reads the others, too: they keep their last picture.
+                rows["pixels"] = self._pixels.clone()
+        out = TensorDict(rows, batch_size=self.batch_size)
         return out.to(self.device) if self.device is not None else out
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -334,6 +331,14 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
             out = TensorDict(out, batch_size=self.batch_size)
             self._checked = True
         return out.to(self.device) if self.device is not None else out
+
+    def _among_zeros(self, values: Tensor | TensorDictBase, ids: Tensor) -> Tensor | TensorDictBase:
+        """Rows for the environments ``ids`` in their places, zeros elsewhere."""
+        if isinstance(values, TensorDictBase):
+            return values.apply(
+                lambda leaf: self._among_zeros(leaf, ids), batch_size=self.batch_size
+            )
+        return values.new_zeros(self.num_envs, *values.shape[1:]).index_copy_(0, ids, values)
 
     @staticmethod
     def _refuse_non_finite(action: Tensor) -> None:

@@ -330,16 +330,15 @@ class NavigationEnv(BatchedMujocoEnv):
         rows, task = slice(None) if ids is None else ids, self._task
         pose = qpos_to_pose(self._view["qpos"].numpy()[rows], self.drive)
         cos, sin = cos_sin(pose[:, 2])
-        x, y = task.way[:, rows, 0], task.way[:, rows, 1]
-        # Of goal, human and boxes, in the robot's frame.
-        ahead, left = cos * x + sin * y, cos * y - sin * x
+        seen = task.ahead_and_left(cos, sin, ids)
+        ahead, left = seen[:, :2]
         polar = np.empty((2, len(pose), 2), self._array_dtype)
         polar[..., 0] = task.distance[:, rows]
-        polar[..., 1] = arctan2(left[:2], ahead[:2])
+        polar[..., 1] = arctan2(left, ahead)
         goal, human = (torch.from_numpy(values).to(self.dtype) for values in polar)
         flags = task.flags[rows].copy()
         out = {
-            "scan": self._scan(pose, cos, sin, np.stack((ahead[1:], left[1:]), axis=-1), ids),
+            "scan": self._scan(pose, cos, sin, seen[:, 1:], ids),
             "goal": goal,
             "human": human,
             "success": torch.from_numpy(flags[:, 0:1]),

@@ -36,8 +36,8 @@ class NavigationTask:
         self.human_goal = np.zeros((num_envs, 2))
         self.boxes = np.zeros((num_envs, num_boxes, 5))
         """``[N, B, 5]``: x, y, heading, half length, half width. Call :meth:`begin` after a change."""
-        self.way = np.zeros((2 + num_boxes, num_envs, 2))
-        """From the robots to goal, human and boxes, ``[2 + B, N, 2]``."""
+        self.way = np.zeros((2, 2 + num_boxes, num_envs))
+        """From the robots to goal, human and boxes, x and y: ``[2, 2 + B, N]``."""
         self.distance = np.zeros((2, num_envs))
         """Of goal and human, ``[2, N]``."""
         self.radius = np.full((1 + num_boxes, num_envs), HUMAN_RADIUS)
@@ -51,9 +51,9 @@ class NavigationTask:
         """New episodes in the environments ``rows``, with all robots at ``position`` [N, 2]."""
         boxes = self.boxes[rows]
         self.flags[rows] = False
-        self._points[0, rows] = self.goal[rows]
-        self._points[1, rows] = self.human_pose[rows, :2]
-        self._points[2:, rows] = boxes[..., :2].swapaxes(0, 1)
+        self._points[:, 0, rows] = self.goal[rows].T
+        self._points[:, 1, rows] = self.human_pose[rows, :2].T
+        self._points[:, 2:, rows] = boxes[..., :2].T
         self._box_cos[:, rows], self._box_sin[:, rows] = cos_sin(boxes[..., 2].T)
         self.radius[1:, rows] = norm(boxes[..., 3:]).T
         self.locate(position)
@@ -64,12 +64,27 @@ class NavigationTask:
         way = self.human_goal - human
         left = norm(way)[:, None]
         human += way / np.maximum(left, 1e-9) * np.minimum(left, length)
-        self._points[1] = human
+        self._points[:, 1] = human.T
 
     def locate(self, position: np.ndarray) -> None:
         """See everything from the robots at ``position`` [N, 2]."""
-        np.subtract(self._points, position, out=self.way)
-        self.distance = norm(self.way[:2])
+        np.subtract(self._points, position.T[:, None], out=self.way)
+        goal_and_human = self.way[:, :2]
+        self.distance = np.sqrt(np.vecdot(goal_and_human, goal_and_human, axis=0))
+
+    def ahead_and_left(self, cos: np.ndarray, sin: np.ndarray, rows: np.ndarray | None = None):
+        """Goal, human and boxes in the frames of robots with these headings, ``[2, 2 + B, n]``.
+
+        Args:
+            cos: of the headings, ``[n]``.
+            sin: of the headings, ``[n]``.
+            rows: their environments; ``None`` for all.
+        """
+        x, y = self.way if rows is None else self.way[:, :, rows]
+        seen = np.empty((2, *x.shape))
+        np.add(cos * x, sin * y, out=seen[0])
+        np.subtract(cos * y, sin * x, out=seen[1])
+        return seen
 
     def end(self) -> np.ndarray:
         """Which episodes end, ``[N, 1]``, once the robots are located; :attr:`flags` says why."""
@@ -82,12 +97,12 @@ class NavigationTask:
         return self.flags.any(1, keepdims=True)
 
     def _touches_box(self) -> np.ndarray:
-        x, y = self.way[2:, :, 0], self.way[2:, :, 1]
+        x, y = self.way[:, 2:]
         cos, sin = self._box_cos, self._box_sin
         half_length, half_width = self.boxes[..., 3].T, self.boxes[..., 4].T
         # From the robot to the nearest point of the box, in the frame of the box.
-        along = (abs(cos * x + sin * y) - half_length).clip(min=0.0)
-        across = (abs(cos * y - sin * x) - half_width).clip(min=0.0)
+        along = np.maximum(abs(cos * x + sin * y) - half_length, 0.0)
+        across = np.maximum(abs(cos * y - sin * x) - half_width, 0.0)
         return (along * along + across * across <= self.robot_radius**2).any(0)
 
     def reward(self, before: np.ndarray) -> np.ndarray:

@@ -225,6 +225,32 @@ def test_any_row_of_a_rollout_is_a_snapshot(scene, wrap, drive, latency):
     _assert_same(continued, steps[5:])
 
 
+def test_what_was_returned_never_changes():
+    # Results are new memory: neither later steps nor resets write into them.
+    env = make_env(num_envs=3, scene="moving_human", max_episode_steps=4)
+    current = env.reset()
+    kept = [(current, current.clone())]
+    for action in _actions(env, 10):
+        step, current = env.step_and_maybe_reset(current.clone(False).set("action", action))
+        kept += [(step, step.clone()), (current, current.clone())]
+    for returned, copy in kept:
+        _assert_same([returned], [copy])
+
+
+def test_a_reset_says_that_nothing_has_ended():
+    env = make_env(num_envs=3, max_episode_steps=1)
+    flags = ("done", "terminated", "truncated")
+    ended = _drive(env, env.reset(), _actions(env, 1))[-1]
+    assert ended["done"].all()
+    mask = torch.tensor([True, False, True])
+    after = env.reset(ended.set("_reset", mask), set_state=False)
+    for name in ("done", "truncated"):
+        assert after[name].flatten().tolist() == [False, True, False]
+    assert not after["terminated"].any()
+    whole = env.reset()
+    assert not any(whole[name].any() for name in flags)
+
+
 def test_a_snapshot_can_be_restored_in_some_rows():
     env = make_env(num_envs=3)
     actions = _actions(env, 10)

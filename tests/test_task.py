@@ -82,3 +82,18 @@ def test_humans_walk_to_their_goals_and_stop():
     np.testing.assert_allclose(task.human_pose, [(0.3, 0.4, 1), (0.06, 0.08, 1), (0, 0, 1)])
     task.locate(np.array([[0.3, 0.0]] * 3))
     np.testing.assert_allclose(task.distance[1], [0.4, math.hypot(0.24, 0.08), 0.3])
+
+
+def test_everything_is_seen_from_the_robots_frame():
+    task = make_task(3, num_boxes=1)
+    task.goal[:], task.human_pose[:, :2], task.boxes[..., :2] = (1.0, 0.0), (0.0, 2.0), (-3.0, 0.0)
+    start(task, (0.0, 0.0))
+    # Heading along x, along y, and backwards.
+    cos, sin = np.array([1.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
+    ahead, left = task.ahead_and_left(cos, sin)
+    assert ahead.T.tolist() == [[1, 0, -3], [0, 2, 0], [-1, 0, 3]]
+    assert left.T.tolist() == [[0, 2, 0], [-1, 0, 3], [0, -2, 0]]
+    assert task.distance.T.tolist() == [[1, 2]] * 3
+    rows = np.array([0, 2])
+    some = task.ahead_and_left(cos[rows], sin[rows], rows)
+    assert np.array_equal(some, np.stack((ahead, left))[..., rows])
