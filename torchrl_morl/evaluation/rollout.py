@@ -61,7 +61,7 @@ def rollout_preferences(
         ``[P, N, S]`` marking the steps that belong to each (first) episode. Shorter rollouts are
         padded with their zeros and a false mask.
     """
-    rollouts = []
+    result, lengths = None, []
     for index, preference in enumerate(preferences):
         env.set_seed(seed)
         start = TensorDict(batch_size=env.batch_size, device=env.device)
@@ -80,15 +80,18 @@ def rollout_preferences(
             mask = rollout["mask"]
             rollout = keep(rollout)
             rollout.set("mask", mask)
-        rollouts.append(rollout)
+        if result is None:
+            # For all at once, since small tensors that stay between two rollouts keep the allocator
+            # from giving the memory of the first one to the second. Untouched pages cost nothing.
+            row = rollout[..., :1].unsqueeze(0)
+            shape = (len(preferences), *rollout.shape[:-1], max_steps)
+            result = torch.empty_like(row.expand(shape))
+        lengths.append(rollout.shape[-1])
+        result[index, ..., : lengths[-1]] = rollout
+        del rollout
         if on_preference is not None:
             on_preference(index)
-    longest = max(rollout.shape[-1] for rollout in rollouts)
-    padded = []
-    for rollout in rollouts:
-        missing = longest - rollout.shape[-1]
-        if missing:
-            tail = torch.zeros_like(rollout[..., :1]).expand(*rollout.shape[:-1], missing)
-            rollout = torch.cat((rollout, tail), dim=-1)
-        padded.append(rollout)
-    return torch.stack(padded)
+    longest = max(lengths)
+    for index, length in enumerate(lengths):
+        result[index, ..., length:longest].zero_()
+    return result[..., :longest].contiguous()
