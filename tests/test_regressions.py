@@ -19,7 +19,7 @@ from benchmarks.learner_systems import Ours, config, transitions
 from envs.metrics import episode_metrics, trajectories
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env, policy_transforms
 from recipes.pd_morl import utils
-from tests._tally import count, counted, python_calls
+from tests._tally import count, python_calls
 from torchrl_morl.evaluation import discrete_frechet
 from torchrl_morl.modules import PreferenceInterpolator, RewardModel
 from torchrl_morl.preferences import PreferenceSpace
@@ -103,32 +103,6 @@ def test_compiled_losses_have_one_graph_for_the_whole_training(monkeypatch):
 
 
 # --- waits for a device --------------------------------------------------------------------------
-
-
-def test_tally_sees_every_way_to_wait():
-    x = torch.arange(3.0)
-    ways = (
-        x[0].item,
-        x.tolist,
-        x.numpy,
-        (x > 1).nonzero,
-        lambda: bool(x.any()),
-        lambda: float(x.sum()),
-        lambda: x[x > 1],
-        lambda: x.masked_select(x > 1),
-        lambda: torch.where(x > 1),
-        lambda: torch.equal(x, x),
-        lambda: x.unique(),
-    )
-    for way in ways:
-        with counted() as tally:
-            way()
-        assert len(tally.waits) == 1, way
-    with counted() as tally:
-        torch.where(x > 1, x, -x)[torch.tensor([0, 2])].sum()
-    assert not tally.waits
-    # The index, a constant, is no new tensor.
-    assert (tally.total, tally.allocations) == (6, 5)
 
 
 def test_losses_never_wait(learner):
