@@ -6,6 +6,7 @@ Examples::
 
     python -m benchmarks.environment
     python -m benchmarks.environment --sizes 1 16 --repetitions 2 --num-threads 1
+    python -m benchmarks.environment --num-threads 1 --clock cpu
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ from .environment_variants import OURS, PARALLEL, SERIAL, VARIANTS, Loop, naviga
 
 _WARM_UP_STEPS = 3
 
+CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
+"""On a machine that does something else too, seconds on a processor are the steadier ones."""
+
 
 class Case(NamedTuple):
     """One cell of the table."""
@@ -36,18 +40,18 @@ class Case(NamedTuple):
     num_envs: int
 
 
-def steps_per_second(loop: Loop, num_envs: int, seconds: float) -> float:
-    """Environment steps per second over at least that many seconds."""
-    steps = 0
-    start = time.perf_counter()
-    while (spent := time.perf_counter() - start) < seconds or not steps:
+def steps_per_second(loop: Loop, num_envs: int, seconds: float, clock: str = "wall") -> float:
+    """Environment steps per second, of one of :data:`CLOCKS`, over at least that many seconds."""
+    now, steps = CLOCKS[clock], 0
+    start = now()
+    while (spent := now() - start) < seconds or not steps:
         loop.step()
         steps += num_envs
     return steps / spent
 
 
 def measure(
-    cases: list[Case], *, repetitions: int, seconds: float, num_threads: int
+    cases: list[Case], *, repetitions: int, seconds: float, num_threads: int, clock: str = "wall"
 ) -> dict[Case, list[float]]:
     """Steps per second of every case and repetition, taking turns within each repetition."""
     loops: dict[Case, Loop] = {}
@@ -64,7 +68,8 @@ def measure(
             for repetition in range(repetitions):
                 progress.set_description(f"repetition {repetition + 1}/{repetitions}")
                 for case in cases:
-                    rates[case].append(steps_per_second(loops[case], case.num_envs, seconds))
+                    rate = steps_per_second(loops[case], case.num_envs, seconds, clock)
+                    rates[case].append(rate)
                     progress.update()
         finally:
             for loop in loops.values():
@@ -135,7 +140,8 @@ def report(
         lines.append(f"not run: {variant} with {', '.join(numbers)}: {reason}")
     lines.append(info["versions"])
     lines.append(
-        f"{info['cpus']} CPUs, load {info['load']} before the start; threads: {info['threads']}"
+        f"{info['cpus']} CPUs, load {info['load']} before the start; threads: {info['threads']}; "
+        f"clock: {info['clock']}"
     )
     return "\n".join(lines)
 
@@ -152,11 +158,13 @@ def write_csv(path: Path, rates: dict[Case, list[float]], info: dict[str, str]) 
 
 
 def plan(
-    sizes: list[int], *, serial_max: int, parallel_max: int
+    sizes: list[int], *, serial_max: int, parallel_max: int, clock: str = "wall"
 ) -> tuple[list[Case], dict[Case, str]]:
     """Which cases to measure, and why not the others."""
     serial = (serial_max, "it steps one simulation after the other (--serial-max)")
     parallel = (parallel_max, "it takes a process for each environment (--parallel-max)")
+    if clock == "cpu":
+        parallel = (0, "its processes have clocks of their own (--clock)")
     limits = {
         "MujocoEnv, one mj_multiRay": (1, "it holds one simulation"),
         **dict.fromkeys(SERIAL, serial),
@@ -186,6 +194,9 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--num-threads", type=int, default=0, help="of NavigationEnv's physics (default: every CPU)"
     )
+    parser.add_argument(
+        "--clock", choices=CLOCKS, default="wall", help="cpu: seconds on a processor"
+    )
     parser.add_argument("--torch-threads", type=int, default=1, help="of PyTorch, in all variants")
     parser.add_argument("--output", type=Path, default=Path("runs/benchmarks/environment.csv"))
     args = parser.parse_args(arguments)
@@ -195,11 +206,20 @@ def main(arguments: list[str] | None = None) -> None:
     torch.set_num_threads(args.torch_threads)
     torch.manual_seed(0)
     load = f"{os.getloadavg()[0]:.1f}"
-    cases, skipped = plan(args.sizes, serial_max=args.serial_max, parallel_max=args.parallel_max)
-    rates = measure(
-        cases, repetitions=args.repetitions, seconds=args.seconds, num_threads=args.num_threads
+    cases, skipped = plan(
+        args.sizes,
+        serial_max=args.serial_max,
+        parallel_max=args.parallel_max,
+        clock=args.clock,
     )
-    info = {**machine(args.num_threads), "load": load}
+    rates = measure(
+        cases,
+        repetitions=args.repetitions,
+        seconds=args.seconds,
+        num_threads=args.num_threads,
+        clock=args.clock,
+    )
+    info = {**machine(args.num_threads), "load": load, "clock": args.clock}
     print(report(rates, skipped, info, args.repetitions))
     write_csv(args.output, rates, info)
     print(f"every measurement: {args.output}")

@@ -7,6 +7,7 @@ import csv
 import functools
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import mujoco
@@ -16,9 +17,10 @@ import torch
 from torchrl.envs import SerialEnv
 from torchrl.envs.utils import check_env_specs, step_mdp
 
-from benchmarks.environment import Case, main, plan, speed_up
+from benchmarks.environment import Case, main, plan, speed_up, steps_per_second
 from benchmarks.environment_variants import (
     OURS,
+    PARALLEL,
     VARIANTS,
     EmptyEnv,
     TorchRLLoop,
@@ -170,6 +172,24 @@ def test_plan_says_why_a_case_is_left_out():
     for name in ("one mj_multiRay", "rangefinders", "rangefinders once"):
         assert {n for v, n in cases if v == f"MujocoEnv, {name}, SerialEnv"} == {1, 8}
         assert "--parallel-max" in skipped[Case(f"MujocoEnv, {name}, ParallelEnv", 8)]
+
+
+def test_processes_of_their_own_are_left_out_of_processor_time():
+    _, skipped = plan([2], serial_max=2, parallel_max=2, clock="cpu")
+    reason = "its processes have clocks of their own (--clock)"
+    assert {case.variant for case, why in skipped.items() if why == reason} == set(PARALLEL)
+
+
+def test_processor_time_does_not_count_waiting():
+    class Sleeper:
+        def step(self):
+            time.sleep(0.02)
+
+        def close(self):
+            pass
+
+    wall, cpu = (steps_per_second(Sleeper(), 1, 0.001, clock) for clock in ("wall", "cpu"))
+    assert wall < 50 < cpu
 
 
 def test_ratio_compares_within_a_repetition():
