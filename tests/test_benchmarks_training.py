@@ -36,7 +36,9 @@ def test_watch_counts_what_runs_inside_for_itself():
         time.sleep(0.01)
     watch.stop()
     assert set(watch.seconds) == {training_step.SET_UP, training_step.OTHER, "outer", "in outer"}
-    assert watch.seconds["in outer"] > watch.seconds["outer"] > watch.seconds[training_step.OTHER]
+    # A sleep may last longer than asked for, never less.
+    assert watch.seconds["in outer"] > 0.019
+    assert watch.seconds["outer"] > 0.009
     assert watch.calls == {"outer": 1, "in outer": 1}
 
 
