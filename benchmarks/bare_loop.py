@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from torchrl_morl.objectives import angle_between
 
-from .learner_systems import Learner, Ours, Stage
+from .learner_systems import Ours, TD3Learner
 
 Layer = list[Tensor]
 """Weight and bias, and, in front of the activation, those of the LayerNorm."""
@@ -47,16 +47,20 @@ def _flat(layers: list[Layer]) -> list[Tensor]:
     return [parameter for layer in layers for parameter in layer]
 
 
-class BareLoop(Learner):
+class BareLoop(TD3Learner):
     """The same networks, losses and optimizers as an :class:`~benchmarks.learner_systems.Ours`."""
 
     def __init__(self, ours: Ours, data: TensorDict, *, compiled: bool = False) -> None:
         super().__init__()
         cfg, loss, space = ours.cfg, ours.loss, ours.space
+        if cfg.preference.relabel_law != "jeffreys":
+            raise ValueError(
+                "The bare loop draws preferences by jeffreys' law only, "
+                f"got preference.relabel_law={cfg.preference.relabel_law!r}."
+            )
         self.cfg, self.policy_delay, self.space = cfg, ours.policy_delay, space
         self.batch_size = cfg.replay_buffer.batch_size
         self.interpolator, self.angle = loss.interpolator, loss.angle
-        self.smoothness_coeff = cfg.loss.get("smoothness_coeff", 0.0)
         self.tunable = torch.tensor(space.tunable_indices)
         self.actor = _layers(loss.actor_network_params["module", "0", "module"])
         self.critics = [_layers(params["module"]) for params in loss.qvalue_network_params]
@@ -93,20 +97,6 @@ class BareLoop(Learner):
         self.critic_loss = wrap(self._critic_loss)
         self.actor_loss = wrap(self._actor_loss)
 
-    def critic_stages(self) -> list[Stage]:
-        return [
-            ("sample, relabel", self._sample),
-            ("critic: loss", self._critic_forward),
-            ("critic: backward, clip, Adam", self._critic_step),
-        ]
-
-    def actor_stages(self) -> list[Stage]:
-        return [
-            ("actor: loss", self._actor_forward),
-            ("actor: backward, clip, Adam", self._actor_step),
-            ("soft update, average", self._follow),
-        ]
-
     # --- stages ---
 
     def _sample(self) -> None:
@@ -120,8 +110,6 @@ class BareLoop(Learner):
         rows = self.storage.index_select(0, torch.randint(len(self.storage), (number,)))
         state, preference, *others = rows.split(self.sizes, dim=-1)
         drawn = torch.randn_like(preference).square()
-        if self.cfg.preference.relabel_law != "jeffreys":
-            raise NotImplementedError("The bare loop draws by Jeffreys' law only.")
         drawn = drawn / drawn.sum(-1, keepdim=True)
         relabelled = torch.rand(number, 1) < self.cfg.preference.relabel_ratio
         return [state, torch.where(relabelled, drawn, preference), *others]
@@ -207,19 +195,12 @@ class BareLoop(Learner):
     ) -> Tensor:
         cfg = self.cfg.loss
         inputs = torch.cat((state, preference), dim=-1)
-        if self.smoothness_coeff:
-            following = torch.cat((next_state, preference), dim=-1)
-            pre_tanh, next_pre_tanh = mlp(torch.cat((inputs, following)), self.actor).chunk(2)
-        else:
-            pre_tanh = mlp(inputs, self.actor)
+        pre_tanh = mlp(inputs, self.actor)
         action = pre_tanh.tanh()
         value = mlp(torch.cat((inputs, action), dim=-1), self.frozen_critic)
         loss = -(self._weights(preference) * value).sum(-1).mean()
         if cfg.pre_tanh_coeff:
             loss = loss + cfg.pre_tanh_coeff * pre_tanh.square().mean()
-        if self.smoothness_coeff:
-            change = (action - next_pre_tanh.tanh()).square().mean(-1)
-            loss = loss + self.smoothness_coeff * (change * (1 - done[:, 0])).mean()
         if self.angle is not None and cfg.angle_coeff_actor:
             angle = self._direction_angle(preference, value)
             loss = loss + cfg.angle_coeff_actor * angle.mean()

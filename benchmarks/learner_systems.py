@@ -6,6 +6,7 @@ part of an update. ``SYSTEMS`` names them.
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -30,7 +31,6 @@ EQUAL_WORK = (
     "loss.angle_coeff_actor=0",
     "loss.angle_coeff_critic=0",
     "loss.pre_tanh_coeff=0",
-    "loss.smoothness_coeff=0",
     "optim.actor_average=null",
 )
 
@@ -40,7 +40,7 @@ UPDATES = 10
 Stage = tuple[str, Callable[[], None]]
 
 
-class Learner:
+class Learner(abc.ABC):
     """Updates in named stages, so that a profile can tell them apart."""
 
     policy_delay = 1
@@ -48,9 +48,9 @@ class Learner:
     def __init__(self) -> None:
         self.updates = 0
 
+    @abc.abstractmethod
     def critic_stages(self) -> list[Stage]:
         """Of every update."""
-        raise NotImplementedError
 
     def actor_stages(self) -> list[Stage]:
         """Of every ``policy_delay``-th update; none if the critics' stages see to it."""
@@ -66,6 +66,42 @@ class Learner:
     def update(self) -> None:
         for _, run in self.stages():
             run()
+
+
+class TD3Learner(Learner):
+    """The stages of TD3: critics at every update, actor and targets at some."""
+
+    def critic_stages(self) -> list[Stage]:
+        return [
+            ("sample, relabel", self._sample),
+            ("critic: loss", self._critic_forward),
+            ("critic: backward, clip, Adam", self._critic_step),
+        ]
+
+    def actor_stages(self) -> list[Stage]:
+        return [
+            ("actor: loss", self._actor_forward),
+            ("actor: backward, clip, Adam", self._actor_step),
+            ("soft update, average", self._follow),
+        ]
+
+    @abc.abstractmethod
+    def _sample(self) -> None: ...
+
+    @abc.abstractmethod
+    def _critic_forward(self) -> None: ...
+
+    @abc.abstractmethod
+    def _critic_step(self) -> None: ...
+
+    @abc.abstractmethod
+    def _actor_forward(self) -> None: ...
+
+    @abc.abstractmethod
+    def _actor_step(self) -> None: ...
+
+    @abc.abstractmethod
+    def _follow(self) -> None: ...
 
 
 def config(*overrides: str) -> DictConfig:
@@ -108,7 +144,7 @@ def transitions(number: int, seed: int = 0) -> TensorDict:
     return data.select(*utils.TRANSITION)
 
 
-class Ours(Learner):
+class Ours(TD3Learner):
     """The update of ``recipes.pd_morl``, out of the recipe's own factories."""
 
     def __init__(self, cfg: DictConfig, data: TensorDict) -> None:
@@ -131,20 +167,6 @@ class Ours(Learner):
         self.replay_buffer.extend(data)
         self.batches: list[TensorDictBase] = []
 
-    def critic_stages(self) -> list[Stage]:
-        return [
-            ("sample, relabel", self._sample),
-            ("critic: loss", self._critic_loss),
-            ("critic: backward, clip, Adam", self._critic_step),
-        ]
-
-    def actor_stages(self) -> list[Stage]:
-        return [
-            ("actor: loss", self._actor_loss),
-            ("actor: backward, clip, Adam", self._actor_step),
-            ("soft update, average", self._follow),
-        ]
-
     def _sample(self) -> None:
         if not self.batches:
             # As the recipe: those of the next updates at once.
@@ -153,13 +175,13 @@ class Ours(Learner):
             self.batches = list(batches.split(size))
         self.batch = self.batches.pop()
 
-    def _critic_loss(self) -> None:
+    def _critic_forward(self) -> None:
         self.loss_value, self.info = self.value_loss(self.batch)
 
     def _critic_step(self) -> None:
         utils.step(self.optimizers["critic"], self.loss_value, self.cfg.optim.max_grad_norm)
 
-    def _actor_loss(self) -> None:
+    def _actor_forward(self) -> None:
         self.loss_value, self.info = self.actor_loss(self.batch)
 
     def _actor_step(self) -> None:

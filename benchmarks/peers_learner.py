@@ -16,7 +16,7 @@ from torchrl.data import Bounded, LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import MLP, TanhModule
 from torchrl.objectives import SoftUpdate, TD3Loss
 
-from .learner_systems import ACTION_SIZE, Learner, Stage
+from .learner_systems import ACTION_SIZE, TD3Learner
 
 CELLS = (256, 256, 256, 256)
 BATCH_SIZE = 256
@@ -29,7 +29,7 @@ def _mlp(sizes: list[int]) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-class OfficialUpdate(Learner):
+class OfficialUpdate(TD3Learner):
     """An update as the published code of PD-MORL does it (https://arxiv.org/abs/2208.07914).
 
     Written after its description: a list of transitions, SciPy's interpolator at every update,
@@ -70,20 +70,6 @@ class OfficialUpdate(Learner):
         )
         self.buffer = list(zip(*(column.numpy() for column in columns), strict=True))
 
-    def critic_stages(self) -> list[Stage]:
-        return [
-            ("sample, relabel", self._sample),
-            ("critic: loss", self._critic_loss),
-            ("critic: backward, clip, Adam", self._critic_step),
-        ]
-
-    def actor_stages(self) -> list[Stage]:
-        return [
-            ("actor: loss", self._actor_loss),
-            ("actor: backward, clip, Adam", self._actor_step),
-            ("soft update, average", self._follow),
-        ]
-
     def _sample(self) -> None:
         chosen = random.sample(self.buffer, BATCH_SIZE)
         columns = (np.stack(column) for column in zip(*chosen, strict=True))
@@ -95,7 +81,7 @@ class OfficialUpdate(Learner):
         cosine = F.cosine_similarity(self.projected, values, dim=-1)
         return torch.rad2deg(torch.acos(cosine.clamp(0, 0.9999)))
 
-    def _critic_loss(self) -> None:
+    def _critic_forward(self) -> None:
         state, preference, action, next_state, reward, done = self.batch
         with torch.no_grad():
             noise = (torch.randn_like(action) * 0.2).clamp(-0.5, 0.5)
@@ -119,7 +105,7 @@ class OfficialUpdate(Learner):
         nn.utils.clip_grad_norm_(self.critics.parameters(), 100.0)
         self.critic_optimizer.step()
 
-    def _actor_loss(self) -> None:
+    def _actor_forward(self) -> None:
         state, preference, *_ = self.batch
         inputs = torch.cat((state, preference), dim=-1)
         value = self.critics[0](torch.cat((inputs, self.actor(inputs).tanh()), dim=-1))
@@ -140,7 +126,7 @@ class OfficialUpdate(Learner):
                 follower.copy_(0.995 * follower + 0.005 * parameter)
 
 
-class StockTD3(Learner):
+class StockTD3(TD3Learner):
     """The loop of TorchRL's TD3 example with ``TD3Loss``: one objective, no preference to relabel."""
 
     policy_delay = 2
@@ -176,30 +162,16 @@ class StockTD3(Learner):
         self.replay_buffer = TensorDictReplayBuffer(storage=storage, batch_size=BATCH_SIZE)
         self.replay_buffer.extend(data)
 
-    def critic_stages(self) -> list[Stage]:
-        return [
-            ("sample, relabel", self._sample),
-            ("critic: loss", self._critic_loss),
-            ("critic: backward, clip, Adam", self._critic_step),
-        ]
-
-    def actor_stages(self) -> list[Stage]:
-        return [
-            ("actor: loss", self._actor_loss),
-            ("actor: backward, clip, Adam", self._actor_step),
-            ("soft update, average", self.target_updater.step),
-        ]
-
     def _sample(self) -> None:
         self.batch = self.replay_buffer.sample()
 
-    def _critic_loss(self) -> None:
+    def _critic_forward(self) -> None:
         self.loss_value, _ = self.loss.value_loss(self.batch)
 
     def _critic_step(self) -> None:
         self._step(self.critic_optimizer)
 
-    def _actor_loss(self) -> None:
+    def _actor_forward(self) -> None:
         self.loss_value, _ = self.loss.actor_loss(self.batch)
 
     def _actor_step(self) -> None:
@@ -209,3 +181,6 @@ class StockTD3(Learner):
         optimizer.zero_grad()
         self.loss_value.backward()
         optimizer.step()
+
+    def _follow(self) -> None:
+        self.target_updater.step()

@@ -122,9 +122,9 @@ def test_only_the_average_of_the_actor_waits(learner):
     learner._sample()
 
     def update() -> None:
-        learner._critic_loss()
+        learner._critic_forward()
         learner._critic_step()
-        learner._actor_loss()
+        learner._actor_forward()
         learner._actor_step()
         learner._follow()
 

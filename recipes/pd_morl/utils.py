@@ -175,7 +175,7 @@ def compile_losses(cfg: DictConfig, loss: MOTD3Loss) -> tuple[Loss, Loss]:
     if cfg.device == "cpu" and shutil.which(compiler) is None:
         warnings.warn(
             f"compute.compile needs a C++ compiler and {compiler} is not installed: the training "
-            "runs without, at about two thirds of the speed.",
+            "runs without, at about three quarters of the speed.",
             stacklevel=2,
         )
         return losses

@@ -47,8 +47,8 @@ def interquartile_mean(values: ArrayLike) -> float:
     """Mean of the middle half of all values, such as seeds x episodes; NaN without values.
 
     As robust as a median against outliers and steadier (Agarwal et al.,
-    https://arxiv.org/abs/2108.13264). Where a quarter of the values is no whole number, the
-    values at its edge count in part.
+    https://arxiv.org/abs/2108.13264). As there, a quarter that is no whole number of values is
+    rounded down.
 
     Args:
         values: any shape.
@@ -57,13 +57,8 @@ def interquartile_mean(values: ArrayLike) -> float:
         >>> interquartile_mean([100.0, 3.0, 1.0, -50.0])
         2.0
     """
-    values = np.sort(defined_values(values))
-    if not values.size:
-        return math.nan
-    rank = np.arange(values.size)
-    # How much of the unit interval of each rank lies in the middle half.
-    weight = np.minimum(rank + 1, 0.75 * values.size) - np.maximum(rank, 0.25 * values.size)
-    return float(np.average(values, weights=weight.clip(0)))
+    values = defined_values(values)
+    return float(scipy.stats.trim_mean(values, 0.25)) if values.size else math.nan
 
 
 def bootstrap_interval(
@@ -161,6 +156,7 @@ def wilson_interval(successes: float, n: float, *, confidence: float = 0.95) -> 
         raise ValueError(f"successes must be from 0 to {n}, got {successes}.")
     if n == 0:
         return Interval(math.nan, math.nan, math.nan, 0)
+    # By hand, as scipy.stats.binomtest takes whole numbers only.
     z, rate = float(scipy.stats.norm.ppf((1 + confidence) / 2)), successes / n
     middle = (rate + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * math.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n))

@@ -340,7 +340,11 @@ class MOTD3Loss(TD3Loss):
         noise = (torch.randn_like(action) * self.policy_noise).clamp(
             -self.noise_clip, self.noise_clip
         )
-        next_td = self._next_state(tensordict)
+        next_td = tensordict.empty()
+        for key in self._state_keys:
+            value = tensordict.get(("next", key), None)
+            # As step_mdp does: what "next" lacks has not changed.
+            next_td.set(key, tensordict.get(key) if value is None else value)
         weights = self._weights(next_td.get(self.tensor_keys.preference))
         with self.target_actor_network_params.to_module(
             self.actor_network, preserve_module_state=False
@@ -356,15 +360,6 @@ class MOTD3Loss(TD3Loss):
             lowest = self._utility(weights, qvalues).argmin(0)[None, ..., None]
             qvalue = qvalues.gather(0, lowest.expand(1, *qvalues.shape[1:])).squeeze(0)
         return qvalue, self._utility(weights, qvalue)
-
-    def _next_state(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Inputs of the networks at the next state."""
-        next_td = tensordict.empty()
-        for key in self._state_keys:
-            value = tensordict.get(("next", key), None)
-            # As step_mdp does: what "next" lacks has not changed.
-            next_td.set(key, tensordict.get(key) if value is None else value)
-        return next_td
 
     def _target_qvalue(self, tensordict: TensorDictBase, next_qvalue: Tensor) -> Tensor:
         """Target ``[*B, K]`` from the value estimator; edits the tensordict."""
@@ -390,6 +385,7 @@ class MOTD3Loss(TD3Loss):
         if not self.deactivate_vmap:
             td = td.expand(self.num_qvalue_nets, *td.batch_size)
             return self._vmap_qvalue_network00(td, params).get(key)
+        # TorchRL's pseudo-vmap, its own way without vmap, breaks the graph of torch.compile.
         values = []
         for critic in params.unbind(0):
             with critic.to_module(self.qvalue_network, preserve_module_state=False):
