@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.nn import functional as F
 
+from recipes.pd_morl import utils
 from torchrl_morl.objectives import angle_between
 
 from .learner_systems import Ours, TD3Learner
@@ -63,7 +64,13 @@ class BareLoop(TD3Learner):
         self.interpolator, self.angle = loss.interpolator, loss.angle
         self.tunable = torch.tensor(space.tunable_indices)
         self.actor = _layers(loss.actor_network_params["module", "0", "module"])
-        self.critics = [_layers(params["module"]) for params in loss.qvalue_network_params]
+        self.straight_drive = None
+        # Where the critic is one of several modules, it is the first.
+        critic = ("module",)
+        if cfg.network.straight_drive:
+            self.straight_drive = utils.make_straight_drive_value(cfg, space)
+            critic = ("module", "0", "module")
+        self.critics = [_layers(params[critic]) for params in loss.qvalue_network_params]
         self.actor_parameters = _flat(self.actor)
         self.critic_parameters = [p for critic in self.critics for p in _flat(critic)]
         # Targets and average follow; only these two are trained.
@@ -145,6 +152,10 @@ class BareLoop(TD3Learner):
 
     # --- losses ---
 
+    def _value(self, state: Tensor, preference: Tensor, action: Tensor, critic: list[Layer]):
+        value = mlp(torch.cat((state, preference, action), dim=-1), critic)
+        return value if self.straight_drive is None else value + self.straight_drive(state, action)
+
     def _weights(self, preference: Tensor) -> Tensor:
         (_, core), *more = self.space.static
         assert not more and self.space.objectives[0] == "core"
@@ -171,12 +182,13 @@ class BareLoop(TD3Learner):
             )
             following = torch.cat((next_state, preference), dim=-1)
             next_action = (mlp(following, self.target_actor).tanh() + noise).clamp(-1, 1)
-            inputs = torch.cat((following, next_action), dim=-1)
-            first, second = (mlp(inputs, critic) for critic in self.target_critics)
+            first, second = (
+                self._value(next_state, preference, next_action, critic)
+                for critic in self.target_critics
+            )
             gap = (weights * (second - first)).sum(-1, keepdim=True)
             target = reward + cfg.gamma * (1 - done) * torch.where(gap < 0, second, first)
-        inputs = torch.cat((state, preference, action), dim=-1)
-        values = [mlp(inputs, critic) for critic in self.critics]
+        values = [self._value(state, preference, action, critic) for critic in self.critics]
         loss = sum((value - target).square().mean() for value in values)
         if self.angle is not None and cfg.angle_coeff_critic:
             for value in values:
@@ -194,10 +206,8 @@ class BareLoop(TD3Learner):
         done: Tensor,
     ) -> Tensor:
         cfg = self.cfg.loss
-        inputs = torch.cat((state, preference), dim=-1)
-        pre_tanh = mlp(inputs, self.actor)
-        action = pre_tanh.tanh()
-        value = mlp(torch.cat((inputs, action), dim=-1), self.frozen_critic)
+        pre_tanh = mlp(torch.cat((state, preference), dim=-1), self.actor)
+        value = self._value(state, preference, pre_tanh.tanh(), self.frozen_critic)
         loss = -(self._weights(preference) * value).sum(-1).mean()
         if cfg.pre_tanh_coeff:
             loss = loss + cfg.pre_tanh_coeff * pre_tanh.square().mean()

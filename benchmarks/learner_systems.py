@@ -27,6 +27,7 @@ CONFIG = Path(recipes.pd_morl.__file__).parent / "config.yaml"
 # Neither what the peers lack nor what they do otherwise.
 EQUAL_WORK = (
     "network.critic_layer_norm=false",
+    "network.straight_drive=false",
     "loss.angle=null",
     "loss.angle_coeff_actor=0",
     "loss.angle_coeff_critic=0",

@@ -8,6 +8,7 @@ from .robots import HSR, ROBOTS, TURTLEBOT2, Robot, get_robot
 from .scenes import (
     CORRIDOR,
     EMPTY,
+    EXPLORING,
     HUMAN_RADIUS,
     MOVING_HUMAN,
     SCENES,
@@ -20,6 +21,7 @@ from .scenes import (
 __all__ = [
     "CORRIDOR",
     "EMPTY",
+    "EXPLORING",
     "HSR",
     "HUMAN_RADIUS",
     "MOVING_HUMAN",

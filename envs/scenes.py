@@ -145,6 +145,27 @@ def _sample_static(n: int, robot_radius: float, rng: torch.Generator) -> TensorD
     return _scene(start, goal, human, human[:, :2].clone(), boxes)
 
 
+def _sample_exploring(n: int, robot_radius: float, rng: torch.Generator) -> TensorDict:
+    scene = _sample_static(n, robot_radius, rng)
+    shape = (n, _CANDIDATES)
+    human = scene["human"][:, None, :2]
+    places = human + torch.stack(
+        (_uniform(shape, -3.0, 3.0, rng), _uniform(shape, -2.5, 2.5, rng)), dim=-1
+    )
+    apart = robot_radius + CLEARANCE / 2
+    boxes = point_box_distance(places[:, :, None], scene["boxes"][:, None]).amin(-1)
+    free = (
+        (boxes >= apart)
+        & ((places - human).norm(dim=-1) >= HUMAN_RADIUS + apart)
+        & ((places - scene["goal"][:, None]).norm(dim=-1) >= 1.0)
+    )
+    moved = free.any(-1) & (torch.rand(n, generator=rng, dtype=torch.float64) < 0.5)
+    first = free.to(torch.uint8).argmax(-1)
+    heading = _uniform((n, 1), -math.pi, math.pi, rng)
+    start = torch.cat((places[torch.arange(n), first], heading), dim=-1)
+    return scene.set("start", torch.where(moved[:, None], start, scene["start"]))
+
+
 def _sample_moving_human(n: int, robot_radius: float, rng: torch.Generator) -> TensorDict:
     start, goal = _start_and_goal(n, rng)
     offset = _uniform((n,), -0.5, 0.5, rng)
@@ -166,7 +187,7 @@ def _sample_moving_human(n: int, robot_radius: float, rng: torch.Generator) -> T
 
 def _sample_mixed(n: int, robot_radius: float, rng: torch.Generator) -> TensorDict:
     # Who stands has arrived: the human's goal is where the human is.
-    standing = _sample_static(n, robot_radius, rng)
+    standing = _sample_exploring(n, robot_radius, rng)
     walking = _sample_moving_human(n, robot_radius, rng)
     walks = torch.rand(n, generator=rng, dtype=torch.float64) < 0.5
     return torch.where(walks, walking, standing)
@@ -229,11 +250,17 @@ def _sample_showcase(n: int, robot_radius: float, rng: torch.Generator) -> Tenso
 STATIC = Scene("static", num_boxes=3, sample=_sample_static)
 """Training: goal 6-12 m away, a standing human near the line to it, three boxes."""
 
+EXPLORING = Scene("exploring", num_boxes=3, sample=_sample_exploring)
+"""Training: ``static``, but half of the robots start anywhere around the human, with any heading.
+
+These exploring starts (Sutton and Barto, Reinforcement Learning, section 5.3) show where a policy
+gets that has gone wrong: on its own way it is seldom face to face with a human or a box."""
+
 MOVING_HUMAN = Scene("moving_human", num_boxes=3, sample=_sample_moving_human, human_speed=0.5)
 """Evaluation: the human walks from the goal to the start while the robot drives the other way."""
 
 MIXED = Scene("mixed", num_boxes=3, sample=_sample_mixed, human_speed=0.5)
-"""Training with moving humans: half of the scenes are as in ``static``, half as in
+"""Training with moving humans: half of the scenes are as in ``exploring``, half as in
 ``moving_human``."""
 
 CORRIDOR = Scene("corridor", num_boxes=4, sample=_sample_corridor)
@@ -246,7 +273,8 @@ SHOWCASE = Scene("showcase", num_boxes=3, sample=_sample_showcase)
 """One fixed scene, for figures."""
 
 SCENES: dict[str, Scene] = {
-    scene.name: scene for scene in (STATIC, MOVING_HUMAN, MIXED, CORRIDOR, EMPTY, SHOWCASE)
+    scene.name: scene
+    for scene in (STATIC, EXPLORING, MOVING_HUMAN, MIXED, CORRIDOR, EMPTY, SHOWCASE)
 }
 
 

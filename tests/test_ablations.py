@@ -15,6 +15,7 @@ from torchrl.envs.utils import check_env_specs
 
 from envs.demonstrator import CircleDemonstrator
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env, observation_size
+from envs.straight_drive import StraightDriveValue
 from recipes.drex import drex, ranking, report
 from recipes.drex import utils as drex_utils
 from recipes.pd_morl import pd_morl
@@ -197,7 +198,11 @@ def test_a_reward_model_of_the_state_alone_scores_any_action_alike():
 # --- other robots, humans and faults
 
 VARIANTS = {
-    "moving humans": ("env.scene=mixed", "env.observe_human_velocity=true"),
+    "moving humans": (
+        "env.scene=mixed",
+        "evaluation.scene=mixed",
+        "env.observe_human_velocity=true",
+    ),
     "random faults": (
         "env.perturbation.range_noise=[0,0.05]",
         "env.perturbation.dropout=[0,0.1]",
@@ -233,6 +238,8 @@ INGREDIENTS = {
     "no relabelling": ("preference.relabel_ratio=0",),
     "no segments": ("preference.num_segments=1",),
     "elementwise minimum": ("loss.target_selection=elementwise",),
+    "critics learn the whole value": ("network.straight_drive=false",),
+    "starts of the evaluation": ("env.scene=static",),
 }
 
 
@@ -255,6 +262,25 @@ def loss_of(*overrides: str) -> MOTD3Loss:
     env = pd_morl_utils.make_eval_env(cfg, space, None)
     actor, _ = pd_morl_utils.make_policy(cfg, env, space, torch.device("cpu"))
     return pd_morl_utils.make_loss(cfg, env, space, actor, torch.device("cpu"))
+
+
+def test_critics_add_what_straight_driving_is_worth():
+    losses = []
+    for override in ("network.straight_drive=true", "network.straight_drive=false"):
+        torch.manual_seed(0)
+        losses.append(loss_of(override))
+    data = TensorDict(
+        observation=torch.rand(5, OBSERVATION_SIZE),
+        preference=torch.full((5, 2), 0.5),
+        action=2 * torch.rand(5, 2) - 1,
+        batch_size=5,
+    )
+    values = [loss._all_qvalues(data, loss.qvalue_network_params) for loss in losses]
+    value = StraightDriveValue(("core", "distance", "efficiency"), gamma=0.998, reward_scale=0.01)
+    expected = value(data["observation"], data["action"]).expand(2, 5, 3)
+    torch.testing.assert_close(values[0] - values[1], expected, rtol=1e-4, atol=1e-5)
+    trained = [dict(loss.qvalue_network_params.flatten_keys()) for loss in losses]
+    assert len(trained[0]) == len(trained[1])
 
 
 def test_the_direction_of_the_angle_is_what_the_override_says():

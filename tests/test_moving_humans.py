@@ -19,19 +19,19 @@ def sample(name: str, count: int = 400):
     return SCENES[name].sample(count, 0.177, torch.Generator().manual_seed(3))
 
 
-def test_half_of_the_mixed_scenes_are_static_and_half_have_a_moving_human():
+def test_half_of_the_mixed_scenes_explore_and_half_have_a_moving_human():
     """They are the scenes of the two, for which other tests stand; the law of the mix is what is new."""
     generator = torch.Generator().manual_seed(3)
-    parts = [SCENES[name].sample(400, 0.177, generator) for name in ("static", "moving_human")]
+    parts = [SCENES[name].sample(400, 0.177, generator) for name in ("exploring", "moving_human")]
     mixed = sample("mixed")
-    is_static, walks = (
+    exploring, walks = (
         torch.stack([(mixed[key] == part[key]).flatten(1).all(-1) for key in mixed.keys()]).all(0)
         for part in parts
     )
-    assert (is_static ^ walks).all()
+    assert (exploring ^ walks).all()
     assert abs(walks.double().mean() - 0.5) < 4 * 0.5 / 20
     stands = (mixed["human"][:, :2] == mixed["human_goal"]).all(-1)
-    assert torch.equal(stands, is_static)
+    assert torch.equal(stands, exploring)
 
 
 def test_in_one_batch_some_humans_walk_and_the_others_do_not_move_at_all():

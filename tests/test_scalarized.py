@@ -19,6 +19,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 import recipes.evaluate
 from envs import NavigationEnv
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env
+from envs.straight_drive import StraightDriveValue
 from recipes.scalarized import sac, td3, training, utils
 from recipes.sweep import sweep
 from torchrl_morl import PreferenceSpace
@@ -254,6 +255,24 @@ def test_deterministic_sac_policy_is_the_saved_actor():
     assert torch.allclose(explored["loc"], actor(seen)["pre_tanh"])
     shared = {id(parameter) for parameter in actor.parameters()}
     assert shared < {id(parameter) for parameter in policy.parameters()}
+
+
+def test_critics_add_the_utility_of_straight_driving():
+    values = []
+    data = TensorDict(
+        observation=torch.rand(5, OBSERVATION_SIZE),
+        preference=torch.tensor([0.25, 0.75]).expand(5, 2),
+        action=2 * torch.rand(5, 2) - 1,
+        batch_size=5,
+    )
+    for override in ("network.straight_drive=true", "network.straight_drive=false"):
+        torch.manual_seed(0)
+        critic, _ = utils._make_critics(configuration("td3", override), task())
+        values.append(critic(data.clone())["state_action_value"])
+    value = StraightDriveValue(SPACE.objectives, gamma=1.0, reward_scale=0.01)
+    core, _, efficiency = value(data["observation"], data["action"]).unbind(-1)
+    expected = (core + 0.75 * efficiency)[:, None]
+    torch.testing.assert_close(values[0] - values[1], expected, rtol=1e-4, atol=1e-5)
 
 
 def test_actor_of_core_ignores_the_preference_and_keeps_its_bounds():

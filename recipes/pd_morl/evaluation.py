@@ -99,7 +99,11 @@ def evaluate(
 
 def demonstrated(cfg: DictConfig, card: dict[str, Any]) -> TensorDict:
     """What the demonstrator does in the scenes of the evaluation."""
-    kwargs = {**simulated(cfg.env), "num_envs": cfg.evaluation.episodes}
+    kwargs = {
+        **simulated(cfg.env),
+        "num_envs": cfg.evaluation.episodes,
+        "scene": cfg.evaluation.scene,
+    }
     env = NavigationEnv(seed=cfg.evaluation.seed, **kwargs)
     start = env.reset()
     env.close()

@@ -23,6 +23,7 @@ from torchrl.record.loggers import Logger, get_logger
 
 from envs import NavigationEnv
 from envs.policy_env import make_policy_env, observation_size
+from envs.straight_drive import StraightDriveValue
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.deploy import load_reward_model
 from torchrl_morl.modules import (
@@ -94,7 +95,11 @@ def make_train_env(
 def make_eval_env(
     cfg: DictConfig, space: PreferenceSpace, reward_model: RewardModel | None
 ) -> EnvBase:
-    kwargs = {**cfg.env, "num_envs": cfg.evaluation.episodes}
+    kwargs = {
+        **cfg.env,
+        "num_envs": cfg.evaluation.episodes,
+        "scene": cfg.evaluation.scene,
+    }
     sampler = PreferenceSampler(space)
     return make_policy_env(sampler, reward_model=reward_model, seed=cfg.evaluation.seed, **kwargs)
 
@@ -120,6 +125,41 @@ def make_policy(
     return actor, TensorDictSequential(actor, noise)
 
 
+def make_critic(
+    cfg: DictConfig, env: EnvBase, space: PreferenceSpace, num_values: int, device: torch.device
+) -> TensorDictModule:
+    action_size = env.action_spec_unbatched.shape[-1]
+    return make_vector_critic(
+        num_values,
+        in_features=observation_size(cfg.env) + space.num_tunable + action_size,
+        num_cells=cfg.network.num_cells,
+        layer_norm=cfg.network.critic_layer_norm,
+        device=device,
+    )
+
+
+def make_straight_drive_value(cfg: DictConfig, space: PreferenceSpace) -> StraightDriveValue:
+    return StraightDriveValue(
+        space.objectives,
+        gamma=cfg.loss.gamma,
+        reward_scale=cfg.replay_buffer.reward_scale,
+        robot=cfg.env.robot,
+        goal_radius=cfg.env.goal_radius,
+    )
+
+
+def add_straight_drive(
+    critic: TensorDictModule, value: nn.Module, in_keys: list[str]
+) -> TensorDictSequential:
+    """A critic whose network learns only what is left of the values."""
+    key = "state_action_value"
+    return TensorDictSequential(
+        critic,
+        TensorDictModule(value, in_keys=in_keys, out_keys=["straight_drive_value"]),
+        TensorDictModule(torch.add, in_keys=[key, "straight_drive_value"], out_keys=[key]),
+    )
+
+
 def make_loss(
     cfg: DictConfig,
     env: EnvBase,
@@ -128,16 +168,12 @@ def make_loss(
     device: torch.device,
 ) -> MOTD3Loss:
     spec = env.action_spec_unbatched
-    critics = [
-        make_vector_critic(
-            space.num_objectives,
-            in_features=observation_size(cfg.env) + space.num_tunable + spec.shape[-1],
-            num_cells=cfg.network.num_cells,
-            layer_norm=cfg.network.critic_layer_norm,
-            device=device,
-        )
-        for _ in range(2)
-    ]
+    critics = [make_critic(cfg, env, space, space.num_objectives, device) for _ in range(2)]
+    if cfg.network.straight_drive:
+        value = make_straight_drive_value(cfg, space)
+        critics = [
+            add_straight_drive(critic, value, ["observation", "action"]) for critic in critics
+        ]
     loss = MOTD3Loss(
         actor,
         critics,
