@@ -293,7 +293,7 @@ def test_actor_of_core_ignores_the_preference_and_keeps_its_bounds():
 def test_what_is_not_specific_to_pd_morl_is_as_in_pd_morl(name):
     """Fields that both have agree, but for PD-MORL's own ingredients and the paper's discount."""
     theirs = {"preference.num_segments", "preference.relabel_ratio", "loss.gamma"}
-    theirs |= {"loss.pre_tanh_coeff", "loss.final_pre_tanh_coeff"}
+    theirs |= {"loss.pre_tanh_coeff", "loss.final_pre_tanh_coeff", "network.straight_drive"}
     with initialize_config_module("recipes.scalarized", version_base="1.3"):
         ours = flat(compose(name))
     reference = flat(configuration("config"))

@@ -1,0 +1,67 @@
+"""A small multi-objective TD3 loss and batches for it."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDict
+from torchrl.data import Bounded
+
+from torchrl_morl.modules import PreferenceInterpolator, make_actor, make_vector_critic
+from torchrl_morl.objectives import MOTD3Loss
+from torchrl_morl.preferences import PreferenceSpace
+
+OBS, ACT = 4, 2
+SPEC = Bounded(torch.tensor([-1.0, 0.0]), torch.tensor([1.0, 3.0]))
+SPACE = PreferenceSpace(("core", "distance", "efficiency"), static={"core": 1.0})
+
+
+def make_networks(num_objectives: int = 3, num_tunable: int = 2):
+    actor = make_actor(SPEC, in_features=OBS + num_tunable, num_cells=(16,), last_layer_gain=1.0)
+    critic = make_vector_critic(
+        num_objectives, in_features=OBS + num_tunable + ACT, num_cells=(16,)
+    )
+    return actor, critic
+
+
+def make_interpolator() -> PreferenceInterpolator:
+    interpolator = PreferenceInterpolator(torch.eye(2))
+    interpolator.refit(torch.tensor([[0.1, -2.0], [-3.0, 0.2]]))
+    return interpolator
+
+
+def make_loss(**kwargs) -> MOTD3Loss:
+    """A loss with every term on."""
+    defaults = {
+        "preference_space": SPACE,
+        "interpolator": make_interpolator(),
+        "angle": "normalized",
+        "angle_coeff_actor": 0.3,
+        "angle_coeff_critic": 0.2,
+        "pre_tanh_coeff": 0.1,
+        "action_spec": SPEC,
+    }
+    return MOTD3Loss(*make_networks(), **(defaults | kwargs))
+
+
+def make_batch(*batch: int, num_objectives: int = 3, num_tunable: int = 2) -> TensorDict:
+    preference = torch.distributions.Dirichlet(torch.ones(num_tunable)).sample(batch)
+    terminated = torch.rand(*batch, 1) < 0.3
+    return TensorDict(
+        observation=torch.randn(*batch, OBS),
+        preference=preference,
+        action=SPEC.rand(batch),
+        next=TensorDict(
+            observation=torch.randn(*batch, OBS),
+            preference=preference,
+            reward=torch.randn(*batch, num_objectives),
+            done=terminated | (torch.rand(*batch, 1) < 0.2),
+            terminated=terminated,
+            batch_size=batch,
+        ),
+        batch_size=batch,
+    )
+
+
+def seeded(loss, batch: TensorDict, seed: int = 1) -> TensorDict:
+    torch.manual_seed(seed)
+    return loss(batch.clone())
