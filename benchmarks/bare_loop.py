@@ -154,7 +154,7 @@ class BareLoop(TD3Learner):
 
     def _value(self, state: Tensor, preference: Tensor, action: Tensor, critic: list[Layer]):
         value = mlp(torch.cat((state, preference, action), dim=-1), critic)
-        return value if self.straight_drive is None else value + self.straight_drive(state, action)
+        return value if self.straight_drive is None else value + self.straight_drive(state)
 
     def _weights(self, preference: Tensor) -> Tensor:
         (_, core), *more = self.space.static

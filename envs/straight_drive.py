@@ -1,8 +1,8 @@
-"""The value of an action where nothing is in the way, in closed form."""
+"""The value of a way without obstacles, in closed form."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -14,21 +14,19 @@ from .task import GOAL_REWARD, STYLE_PENALTY
 
 
 class StraightDriveValue(nn.Module):
-    r"""Return of one action and the straight way to the goal after it, one value per objective.
+    r"""Return of the straight way to the goal at full speed, one value per objective.
 
-    The robot drives an arc for one step, from distance :math:`d` of the goal to :math:`d'`, and then
-    :math:`n = (d' - r_\mathrm{goal}) / (v_\mathrm{max} \Delta t)` steps straight at full speed, in
-    each of which it earns :math:`r`:
+    With :math:`n = (d_\mathrm{goal} - r_\mathrm{goal}) / (v_\mathrm{max} \Delta t)` steps to go and a
+    reward :math:`r` in each of them,
 
     .. math::
-        Q = r_\mathrm{arc} + \gamma\, r \, (1 + \gamma + \dots + \gamma^{n-1})
-          = r_\mathrm{arc} + \gamma\, r \, \frac{1 - \gamma^n}{1 - \gamma}.
+        V = r \, (1 + \gamma + \dots + \gamma^{n-1}) = r \, \frac{1 - \gamma^n}{1 - \gamma}.
 
-    Progress counts for the core objective, time for efficiency; nothing is lost to collisions, to the
-    demonstrated style or to closeness, and turning is free. Added to the output of a critic it leaves
-    to the network what obstacles, people and style change, which is small beside the progress; what
-    a step lost costs, a hundredth of the value, is exact from the start. As initial Q-values do not
-    change what TD learning converges to, nor does this (Wiewiora, https://arxiv.org/abs/1106.5267).
+    A step earns progress (core) and costs time (efficiency); nothing is lost to collisions, to the
+    demonstrated style or to closeness. Added to the output of a critic it leaves to the network what
+    obstacles, people and style change, which is small beside the progress. The policies that are
+    best stay the same, as with shaping by a potential (Ng, Harada and Russell, ICML 1999), to which
+    initial Q-values are equivalent (Wiewiora, https://arxiv.org/abs/1106.5267).
 
     There are no parameters and no buffers.
 
@@ -38,28 +36,25 @@ class StraightDriveValue(nn.Module):
     Keyword Args:
         gamma: discount per step, in (0, 1].
         reward_scale: factor on all rewards, as in the replay buffer.
-        robot: whose speed and turn rate it is.
+        robot: whose full speed it is.
         goal_radius: of the task, metres.
 
     Shape:
-        ``observation`` ``[*B, D]`` of :func:`~envs.policy_env.policy_transforms` and ``action``
-        ``[*B, 2]`` in [-1, 1] to ``[*B, K]``.
+        ``observation`` ``[*B, D]`` of :func:`~envs.policy_env.policy_transforms` to ``[*B, K]``.
 
     Raises:
         ValueError: for a ``gamma`` outside (0, 1].
 
     Examples:
-        Two metres before the goal: 17 steps of 0.1 m to its radius of 0.3 m, or 18 after a rest.
+        Two metres before the goal, 0.1 m a step: 17 steps to its radius of 0.3 m.
 
         >>> import torch
         >>> from envs.policy_env import OBSERVATION_SIZE
-        >>> observation = torch.zeros(2, OBSERVATION_SIZE)
-        >>> observation[:, 30], observation[:, 32] = 2.0 / 5.0, 1.0
-        >>> action = torch.tensor([[1.0, 0.0], [-1.0, 0.0]])
+        >>> observation = torch.zeros(OBSERVATION_SIZE)
+        >>> observation[30] = 2.0 / 5.0
         >>> value = StraightDriveValue(("core", "demo", "distance", "efficiency"), gamma=1.0)
-        >>> value(observation, action).round()
-        tensor([[ 212.,    0.,    0., -170.],
-                [ 212.,    0.,    0., -180.]])
+        >>> value(observation)
+        tensor([ 212.5000,    0.0000,    0.0000, -170.0000])
     """
 
     def __init__(
@@ -74,32 +69,16 @@ class StraightDriveValue(nn.Module):
         super().__init__()
         if not 0 < gamma <= 1:
             raise ValueError(f"gamma must be in (0, 1], got {gamma}.")
-        self.objectives = tuple(objectives)
-        self.gamma, self.reward_scale, self.goal_radius = gamma, reward_scale, goal_radius
-        robot = get_robot(robot)
-        # Of one step, metres and radians.
-        self.step = robot.max_speed * NavigationEnv.CONTROL_PERIOD
-        self.turn = robot.max_turn_rate * NavigationEnv.CONTROL_PERIOD
-        goal = observation_parts()["goal"]
-        self.goal = slice(goal.start, goal.stop)
+        step = get_robot(robot).max_speed * NavigationEnv.CONTROL_PERIOD
+        earned: Mapping[str, float] = {"core": GOAL_REWARD * step, "efficiency": STYLE_PENALTY}
+        self.rewards = tuple(reward_scale * earned.get(name, 0.0) for name in objectives)
+        self.gamma, self.step, self.goal_radius = gamma, step, goal_radius
+        self.goal_distance = observation_parts()["goal"][0]
 
-    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Values ``[*B, K]`` of observations ``[*B, D]`` and actions ``[*B, 2]``."""
-        distance, sine, cosine = observation[..., self.goal].unbind(-1)
-        distance = GOAL_SCALE * distance
-        speed, turn = action.unbind(-1)
-        # The chord of the arc: torch.sinc(x) is sin(pi x) / (pi x).
-        bearing = self.turn * turn / 2
-        chord = self.step * (speed + 1) / 2 * torch.sinc(bearing / torch.pi)
-        ahead = distance * (cosine * bearing.cos() + sine * bearing.sin())
-        after = (distance.square() - 2 * chord * ahead + chord.square()).clamp_min(1e-12).sqrt()
-        steps = ((after - self.goal_radius) / self.step).clamp_min(0.0)
+    def forward(self, observation: Tensor) -> Tensor:
+        """Values ``[*B, K]`` of observations ``[*B, D]``."""
+        distance = GOAL_SCALE * observation[..., self.goal_distance]
+        steps = ((distance - self.goal_radius) / self.step).clamp_min(0.0)
         if self.gamma < 1:
             steps = (1 - self.gamma**steps) / (1 - self.gamma)
-        values = {
-            "core": GOAL_REWARD * (distance - after + self.gamma * self.step * steps),
-            "efficiency": STYLE_PENALTY * (1 + self.gamma * steps),
-        }
-        nothing = torch.zeros_like(distance)
-        value = torch.stack([values.get(name, nothing) for name in self.objectives], dim=-1)
-        return self.reward_scale * value
+        return torch.stack([reward * steps for reward in self.rewards], dim=-1)

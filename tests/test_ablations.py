@@ -277,7 +277,7 @@ def test_critics_add_what_straight_driving_is_worth():
     )
     values = [loss._all_qvalues(data, loss.qvalue_network_params) for loss in losses]
     value = StraightDriveValue(("core", "distance", "efficiency"), gamma=0.998, reward_scale=0.01)
-    expected = value(data["observation"], data["action"]).expand(2, 5, 3)
+    expected = value(data["observation"]).expand(2, 5, 3)
     torch.testing.assert_close(values[0] - values[1], expected, rtol=1e-4, atol=1e-5)
     trained = [dict(loss.qvalue_network_params.flatten_keys()) for loss in losses]
     assert len(trained[0]) == len(trained[1])

@@ -270,7 +270,7 @@ def test_critics_add_the_utility_of_straight_driving():
         critic, _ = utils._make_critics(configuration("td3", override), task())
         values.append(critic(data.clone())["state_action_value"])
     value = StraightDriveValue(SPACE.objectives, gamma=1.0, reward_scale=0.01)
-    core, _, efficiency = value(data["observation"], data["action"]).unbind(-1)
+    core, _, efficiency = value(data["observation"]).unbind(-1)
     expected = (core + 0.75 * efficiency)[:, None]
     torch.testing.assert_close(values[0] - values[1], expected, rtol=1e-4, atol=1e-5)
 

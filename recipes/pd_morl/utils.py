@@ -171,9 +171,7 @@ def make_loss(
     critics = [make_critic(cfg, env, space, space.num_objectives, device) for _ in range(2)]
     if cfg.network.straight_drive:
         value = make_straight_drive_value(cfg, space)
-        critics = [
-            add_straight_drive(critic, value, ["observation", "action"]) for critic in critics
-        ]
+        critics = [add_straight_drive(critic, value, ["observation"]) for critic in critics]
     loss = MOTD3Loss(
         actor,
         critics,

@@ -113,9 +113,9 @@ class _Utility(nn.Module):
         super().__init__()
         self.value, self.space = value, space
 
-    def forward(self, observation: Tensor, action: Tensor, preference: Tensor) -> Tensor:
+    def forward(self, observation: Tensor, preference: Tensor) -> Tensor:
         weights = self.space.weights(preference)
-        return (weights * self.value(observation, action)).sum(-1, keepdim=True)
+        return (weights * self.value(observation)).sum(-1, keepdim=True)
 
 
 def cut_off_preference(actor: TensorDictSequential, space: PreferenceSpace) -> None:
@@ -161,7 +161,7 @@ def _make_critics(cfg: DictConfig, task: Task) -> list[TensorDictModule]:
     critics = [pd_morl.make_critic(cfg, task.env, task.space, 1, task.device) for _ in range(2)]
     if cfg.network.straight_drive:
         value = _Utility(pd_morl.make_straight_drive_value(cfg, task.space), task.space)
-        in_keys = ["observation", "action", "preference"]
+        in_keys = ["observation", "preference"]
         critics = [pd_morl.add_straight_drive(critic, value, in_keys) for critic in critics]
     return critics
 
