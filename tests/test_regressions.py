@@ -36,8 +36,8 @@ from torchrl_morl.transforms import (
 # `pytest tests/test_regressions.py -k budget`: a failure tells the numbers. More than before needs a
 # reason; less is a new budget. They are those of the versions in constraints.txt.
 BUDGET = {
-    "value_loss": (241, 149),
-    "actor_loss": (124, 91),
+    "value_loss": (297, 201),
+    "actor_loss": (138, 104),
     "sample and relabel": (24, 23),
     "transforms of a step": (57, 49),
 }
