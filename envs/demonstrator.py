@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import math
 from typing import Any, Literal
 
@@ -61,7 +62,7 @@ class Driver(TensorDictModuleBase):
         return tensordict.set(self.out_keys[0], torch.stack((forward, turn), dim=-1))
 
 
-class _PassingDriver(Driver):
+class _PassingDriver(Driver, abc.ABC):
     """Passes the human on a side; ``_steer`` says how, for the left one."""
 
     def __init__(
@@ -93,9 +94,9 @@ class _PassingDriver(Driver):
         forward, turn = self._steer(goal, human)
         return self._write(tensordict, forward, mirror * turn)
 
+    @abc.abstractmethod
     def _steer(self, goal: Tensor, human: Tensor) -> tuple[Tensor, Tensor]:
         """Speed and turn rate, m/s and rad/s, from polar positions ``[*B, 2]``."""
-        raise NotImplementedError
 
 
 class CircleDemonstrator(_PassingDriver):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -70,7 +70,7 @@ class StraightDriveValue(nn.Module):
         if not 0 < gamma <= 1:
             raise ValueError(f"gamma must be in (0, 1], got {gamma}.")
         step = get_robot(robot).max_speed * NavigationEnv.CONTROL_PERIOD
-        earned: Mapping[str, float] = {"core": GOAL_REWARD * step, "efficiency": STYLE_PENALTY}
+        earned = {"core": GOAL_REWARD * step, "efficiency": STYLE_PENALTY}
         self.rewards = tuple(reward_scale * earned.get(name, 0.0) for name in objectives)
         self.gamma, self.step, self.goal_radius = gamma, step, goal_radius
         self.goal_distance = observation_parts()["goal"][0]

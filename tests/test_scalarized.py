@@ -19,7 +19,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 import recipes.evaluate
 from envs import NavigationEnv
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env
-from envs.straight_drive import StraightDriveValue
 from recipes.scalarized import sac, td3, training, utils
 from recipes.sweep import sweep
 from torchrl_morl import PreferenceSpace
@@ -57,7 +56,7 @@ def train(script: str, folder: Path, *overrides: str) -> Path:
 
 OVERRIDES = {
     "sac": ("loss.gamma=0.98",),
-    "td3": ("loss.pre_tanh_coeff=0.01", "loss.final_pre_tanh_coeff=0.001"),
+    "td3": ("loss.policy_noise=0.04",),
     "core": ("objective=core",),
 }
 
@@ -257,24 +256,6 @@ def test_deterministic_sac_policy_is_the_saved_actor():
     assert shared < {id(parameter) for parameter in policy.parameters()}
 
 
-def test_critics_add_the_utility_of_straight_driving():
-    values = []
-    data = TensorDict(
-        observation=torch.rand(5, OBSERVATION_SIZE),
-        preference=torch.tensor([0.25, 0.75]).expand(5, 2),
-        action=2 * torch.rand(5, 2) - 1,
-        batch_size=5,
-    )
-    for override in ("network.straight_drive=true", "network.straight_drive=false"):
-        torch.manual_seed(0)
-        critic, _ = utils._make_critics(configuration("td3", override), task())
-        values.append(critic(data.clone())["state_action_value"])
-    value = StraightDriveValue(SPACE.objectives, gamma=1.0, reward_scale=0.01)
-    core, _, efficiency = value(data["observation"]).unbind(-1)
-    expected = (core + 0.75 * efficiency)[:, None]
-    torch.testing.assert_close(values[0] - values[1], expected, rtol=1e-4, atol=1e-5)
-
-
 def test_actor_of_core_ignores_the_preference_and_keeps_its_bounds():
     cfg, given = configuration("td3"), task()
     actor = utils.make_actor(cfg, given)
@@ -293,7 +274,6 @@ def test_actor_of_core_ignores_the_preference_and_keeps_its_bounds():
 def test_what_is_not_specific_to_pd_morl_is_as_in_pd_morl(name):
     """Fields that both have agree, but for PD-MORL's own ingredients and the paper's discount."""
     theirs = {"preference.num_segments", "preference.relabel_ratio", "loss.gamma"}
-    theirs |= {"loss.pre_tanh_coeff", "loss.final_pre_tanh_coeff", "network.straight_drive"}
     with initialize_config_module("recipes.scalarized", version_base="1.3"):
         ours = flat(compose(name))
     reference = flat(configuration("config"))
@@ -305,9 +285,8 @@ def test_what_is_not_specific_to_pd_morl_is_as_in_pd_morl(name):
     alone = {key for key in reference.keys() - ours.keys() if not key.startswith(("loss", "env"))}
     without_noise = {f"collector.{name}_sigma" for name in ("exploration", "final_exploration")}
     delayed = {"optim.policy_delay"}
-    assert alone <= {"evaluation.refit_momentum", "compute.compile"} | (
-        without_noise | delayed if name == "sac" else set()
-    )
+    own = {"evaluation.refit_momentum", "compute.compile", "network.straight_drive"}
+    assert alone <= own | (without_noise | delayed if name == "sac" else set())
 
 
 def flat(cfg: DictConfig, prefix: str = "") -> dict[str, object]:

@@ -19,6 +19,8 @@ from envs.policy_env import simulated
 from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
 from torchrl_morl.preferences import PreferenceSpace
 
+from .utils import evaluation_arguments
+
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
@@ -99,13 +101,9 @@ def evaluate(
 
 def demonstrated(cfg: DictConfig, card: dict[str, Any]) -> TensorDict:
     """What the demonstrator does in the scenes of the evaluation."""
-    kwargs = {
-        **simulated(cfg.env),
-        "num_envs": cfg.evaluation.episodes,
-        "scene": cfg.evaluation.scene,
-    }
-    env = NavigationEnv(seed=cfg.evaluation.seed, **kwargs)
+    kwargs = simulated(evaluation_arguments(cfg))
+    env = NavigationEnv(**kwargs)
     start = env.reset()
     env.close()
-    del kwargs["num_envs"]
+    del kwargs["num_envs"], kwargs["seed"]
     return demonstrated_paths(CircleDemonstrator(**card["demonstrator"]), start, **kwargs)

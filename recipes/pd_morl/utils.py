@@ -95,13 +95,14 @@ def make_train_env(
 def make_eval_env(
     cfg: DictConfig, space: PreferenceSpace, reward_model: RewardModel | None
 ) -> EnvBase:
-    kwargs = {
-        **cfg.env,
-        "num_envs": cfg.evaluation.episodes,
-        "scene": cfg.evaluation.scene,
-    }
     sampler = PreferenceSampler(space)
-    return make_policy_env(sampler, reward_model=reward_model, seed=cfg.evaluation.seed, **kwargs)
+    return make_policy_env(sampler, reward_model=reward_model, **evaluation_arguments(cfg))
+
+
+def evaluation_arguments(cfg: DictConfig) -> dict[str, Any]:
+    """Of :func:`make_policy_env`: the training's own but for the scenes."""
+    changed = cfg.evaluation
+    return {**cfg.env, "num_envs": changed.episodes, "scene": changed.scene, "seed": changed.seed}
 
 
 def make_policy(

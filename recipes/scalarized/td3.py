@@ -15,7 +15,7 @@ from torch import Tensor
 from torchrl._utils import timeit
 from torchrl.objectives import SoftUpdate
 
-from recipes.pd_morl.utils import make_optimizers, make_policy, pre_tanh_coeff, step
+from recipes.pd_morl.utils import make_optimizers, make_policy, step
 
 from . import training, utils
 
@@ -46,10 +46,6 @@ def main(cfg: DictConfig) -> None:
         if updates % cfg.optim.policy_delay == 0:
             with timeit("update actor"):
                 actor_loss, info = loss.actor_loss(batch)
-                if cfg.loss.pre_tanh_coeff:
-                    # The stock loss keeps its forward pass to itself.
-                    pre_tanh = actor(batch.select(*actor.in_keys))["pre_tanh"]
-                    actor_loss = actor_loss + pre_tanh_coeff(cfg, frames) * pre_tanh.pow(2).mean()
                 step(optimizers["actor"], actor_loss, cfg.optim.max_grad_norm)
                 target_updater.step()
                 averaged.update_parameters(actor)

@@ -106,18 +106,6 @@ class _Hidden(nn.Sequential):
         return super().forward(torch.cat(inputs, dim=-1))
 
 
-class _Utility(nn.Module):
-    """What a module's values ``[*B, K]`` are worth under a preference, ``[*B, 1]``."""
-
-    def __init__(self, value: nn.Module, space: PreferenceSpace) -> None:
-        super().__init__()
-        self.value, self.space = value, space
-
-    def forward(self, observation: Tensor, preference: Tensor) -> Tensor:
-        weights = self.space.weights(preference)
-        return (weights * self.value(observation)).sum(-1, keepdim=True)
-
-
 def cut_off_preference(actor: TensorDictSequential, space: PreferenceSpace) -> None:
     """Zero what the actor's first layer makes of the preference.
 
@@ -158,12 +146,7 @@ def make_sac_loss(cfg: DictConfig, task: Task, policy: ProbabilisticActor) -> SA
 
 def _make_critics(cfg: DictConfig, task: Task) -> list[TensorDictModule]:
     """Two scalar critics: the vector critic of PD-MORL with a single value."""
-    critics = [pd_morl.make_critic(cfg, task.env, task.space, 1, task.device) for _ in range(2)]
-    if cfg.network.straight_drive:
-        value = _Utility(pd_morl.make_straight_drive_value(cfg, task.space), task.space)
-        in_keys = ["observation", "preference"]
-        critics = [pd_morl.add_straight_drive(critic, value, in_keys) for critic in critics]
-    return critics
+    return [pd_morl.make_critic(cfg, task.env, task.space, 1, task.device) for _ in range(2)]
 
 
 def _configure(cfg: DictConfig, task: Task, loss: LossModule) -> LossModule:
