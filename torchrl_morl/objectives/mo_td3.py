@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.objectives import TD3Loss
@@ -157,6 +157,9 @@ class MOTD3Loss(TD3Loss):
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
     _schedulable_buffers = frozenset({"angle_coeff_actor", "angle_coeff_critic", "pre_tanh_coeff"})
+    # TD3Loss keeps a list here, which its first instance turns into this property: before, neither
+    # subclasses nor select_out_keys could set it.
+    out_keys = TensorDictModuleBase.out_keys
 
     interpolator: PreferenceInterpolator | None
 
