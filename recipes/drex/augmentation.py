@@ -56,6 +56,11 @@ def main() -> None:
         parser.error(str(error))
     if "config" not in metadata:
         parser.error(f"{args.file} was not written by recipes.drex.drex: it has no configuration.")
+    if "demonstrator" not in metadata:
+        parser.error(
+            f"{args.file} holds recorded demonstrations: nobody drives them in the scenes of this "
+            "study, so that the distance to them is unknown. It needs those of the scripted circle."
+        )
     for count in args.counts:
         if not 1 <= count <= len(demonstrations):
             parser.error(f"--counts must be from 1 to {len(demonstrations)}, got {count}.")

@@ -27,12 +27,13 @@ def main(cfg: DictConfig) -> None:
     # Nothing is run before the configuration has been accepted.
     ranking.hidden_entries(cfg)
     styles.rollouts_per_style(cfg)
+    recorded = utils.read_demonstrations(cfg)
     torch.set_num_threads(cfg.torch_threads)
     torch.manual_seed(cfg.seed)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
 
     with timeit("demonstrations"):
-        demonstrations = utils.collect_demonstrations(cfg)
+        demonstrations = utils.collect_demonstrations(cfg) if recorded is None else recorded
         save_demonstrations(
             run_dir / "demonstrations.safetensors", demonstrations, utils.metadata(cfg)
         )
@@ -43,12 +44,12 @@ def main(cfg: DictConfig) -> None:
         noisy = [(0.0, demonstrations), *utils.noisy_rollouts(cfg, policy)]
     with timeit("other styles"):
         # The extension to D-REX: other ways to drive rank below the demonstrations.
-        others = styles.other_styles(cfg) if cfg.style_negatives.rollouts else []
+        others = styles.other_styles(cfg, recorded) if cfg.style_negatives.rollouts else []
     with timeit("reward model"):
         snippets = ranking.ranked_snippets(cfg, noisy, others)
         model, scores = ranking.train_reward_model(cfg, snippets)
     with timeit("diagnostics"):
-        report = write_report(run_dir, cfg, model, noisy, scores)
+        report = write_report(run_dir, cfg, model, noisy, scores, recorded)
     card = {"behaviour_cloning_loss": cloning_loss, **scores, **report}
     ranking.save_model(run_dir / "reward_model", cfg, model, card)
     utils.save_clone(

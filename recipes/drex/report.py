@@ -42,8 +42,11 @@ def write_report(
     model: RewardModel,
     groups: list[tuple[float, TensorDictBase]],
     held_out: dict[str, Any],
+    recorded: TensorDictBase | None = None,
 ) -> dict[str, Any]:
     """Numbers and pictures of a reward model.
+
+    What is shown of the demonstrated circle is missing where demonstrations were ``recorded``.
 
     Args:
         run_dir: where the pictures go.
@@ -51,6 +54,7 @@ def write_report(
         model: the reward model.
         groups: demonstrations, then the noisy rollouts with their quality (minus the noise level).
         held_out: of :func:`ranking.held_out_accuracy`.
+        recorded: the demonstrations ``[N, T]``, where the recipe was given a dataset.
 
     Returns:
         Diagnostics, as JSON values.
@@ -64,11 +68,15 @@ def write_report(
             for _, data in groups
         ]
     )
-    contrast = styles.style_contrast(cfg, model)
-    rivals = {name: value for name, value in contrast.items() if name != "demonstration"}
-    lead = contrast["demonstration"] - max(rivals.values())
+    contrast = styles.style_contrast(cfg, model, recorded)
+    rivals = [value for name, value in contrast.items() if name != "demonstration"]
+    lead = contrast["demonstration"] - max(rivals, default=float("nan"))
     degradation_figure(run_dir / "degradation.png", cfg, noisy)
-    heat_map(run_dir / "heat_map.png", cfg, model)
+    if recorded is None:
+        heat_map(run_dir / "heat_map.png", cfg, model)
+    else:
+        drives = {"recorded": recorded, f"clone, {levels[-1]:.0%} noise": noisy[-1][1]}
+        drives_figure(run_dir / "drives.png", model, drives)
     contrast_figure(run_dir / "style_contrast.png", contrast)
     rho = steerability(torch.tensor(levels), torch.tensor(scores))
     share_saturated = ((every < 0.02) | (every > 0.98)).float().mean().item()
@@ -99,30 +107,33 @@ def accuracy_table(per_gap: dict[str, float]) -> str:
 def degradation_figure(
     path: Path, cfg: DictConfig, noisy: list[tuple[float, TensorDictBase]]
 ) -> None:
-    """Core return and Frechet distance to the demonstration against noise (Fig. 2a)."""
+    """Core return and Frechet distance to the demonstration against noise (Fig. 2a).
+
+    The distance to the scripted circle alone: nobody knows what a person would have done elsewhere.
+    """
     count = min(cfg.diagnostics.rollouts, cfg.noise.rollouts)
-    # In the scenes of the noisy rollouts; nobody can follow a path that leads through a box.
-    reference = utils.demonstrated(cfg, cfg.noise.rollouts, cfg.seed + 10_000)[:count]
-    free = reference["free"]
     core = torch.stack([utils.core_return(data[:count]) for _, data in noisy])
-    frechet = torch.stack([utils.frechet(data[:count], reference)[free] for _, data in noisy])
+    panels = [(core, "core return / (125 x start-goal distance)")]
+    title = "cloned policy under held noise, means and standard errors"
+    if cfg.demonstrations.dataset is None:
+        # In the scenes of the noisy rollouts; nobody can follow a path that leads through a box.
+        reference = utils.demonstrated(cfg, cfg.noise.rollouts, cfg.seed + 10_000)[:count]
+        free = reference["free"]
+        frechet = torch.stack([utils.frechet(data[:count], reference)[free] for _, data in noisy])
+        panels.append((frechet, "Frechet distance to the demonstration / m"))
+        title += "; the distance where no box stands on the demonstrated path"
     levels = [-quality for quality, _ in noisy]
-    fig, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
-    for ax, values, label in (
-        (axes[0], core, "core return / (125 x start-goal distance)"),
-        (axes[1], frechet, "Frechet distance to the demonstration / m"),
-    ):
+    fig, axes = plt.subplots(
+        1, len(panels), figsize=(4.5 * len(panels), 3.6), layout="constrained", squeeze=False
+    )
+    for ax, (values, label) in zip(axes[0], panels, strict=True):
         mean, error = utils.mean_and_error(values)
         ax.errorbar(levels, mean, error, marker="o", capsize=3, color="#0072b2")
         ax.set_xlabel("share of noisy steps")
         ax.set_ylabel(label)
         ax.set_title(f"n = {values.shape[1]}", fontsize=9)
         ax.grid(alpha=0.3)
-    fig.suptitle(
-        "cloned policy under held noise, means and standard errors; the distance where no box "
-        "stands on the demonstrated path",
-        fontsize=10,
-    )
+    fig.suptitle(title, fontsize=10, wrap=True)
     fig.savefig(path, dpi=120)
     plt.close(fig)
 
@@ -169,6 +180,31 @@ def heat_map(
         ax.set_title(title)
         ax.set_xlabel("x / m (goal to the right)")
     axes[0].set_ylabel("y / m")
+    fig.colorbar(image, ax=axes, label="R")
+    fig.savefig(path, dpi=120)
+    plt.close(fig)
+
+
+@torch.no_grad()
+def drives_figure(path: Path, model: RewardModel, drives: dict[str, TensorDictBase]) -> None:
+    """R along trajectories ``[N, T]``, turned so that all start on the left and have the human ahead."""
+    fig, axes = plt.subplots(
+        1, len(drives), figsize=(10.5, 4.6), sharex=True, sharey=True, layout="constrained"
+    )
+    for ax, (title, data) in zip(axes, drives.items(), strict=True):
+        score = model(data.select("observation", "action"))["demo_score"].squeeze(-1)
+        position = data["pose"][..., :2] - data["human_pose"][..., :2]
+        first = position[:, :1]
+        turn = torch.pi - torch.atan2(first[..., 1], first[..., 0])
+        x, y = position.unbind(-1)
+        turned = x * turn.cos() - y * turn.sin(), x * turn.sin() + y * turn.cos()
+        x, y, score = (value[data["mask"]] for value in (*turned, score))
+        image = ax.scatter(x, y, c=score, s=3, vmin=0, vmax=1, cmap="viridis")
+        ax.add_patch(plt.Circle((0, 0), HUMAN_RADIUS, color="#d55e00"))
+        ax.set_aspect("equal")
+        ax.set_title(f"{title} (n = {len(data)})")
+        ax.set_xlabel("x / m (from the start to the human)")
+    axes[0].set_ylabel("y / m (the human is at 0, 0)")
     fig.colorbar(image, ax=axes, label="R")
     fig.savefig(path, dpi=120)
     plt.close(fig)

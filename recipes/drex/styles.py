@@ -8,12 +8,12 @@ from typing import Any
 import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from envs.demonstrator import DetourDriver, StraightDriver
+from envs.demonstrator import DetourDriver, Driver, StraightDriver
 from torchrl_morl.modules import RewardModel
 
+from .recorded import distance_from_recorded
 from .utils import demonstrator, demonstrator_arguments, rollouts
 
 _NUM_STYLES = 6
@@ -34,8 +34,12 @@ def rollouts_per_style(cfg: DictConfig) -> int:
     return total // _NUM_STYLES
 
 
-def other_styles(cfg: DictConfig) -> list[TensorDictBase]:
-    """Orbits at other radii, mirrored orbits, detours and straight driving, in random scenes."""
+def other_styles(cfg: DictConfig, recorded: TensorDictBase | None = None) -> list[TensorDictBase]:
+    """Orbits at other radii, mirrored orbits, detours and straight driving, in random scenes.
+
+    Beside ``recorded`` demonstrations ``[N, T]``, whose style may be any of these, those are left out
+    that come close to them; a style is, if fewer than two of its rollouts remain.
+    """
     section = cfg.style_negatives
     count = rollouts_per_style(cfg)
     generator = torch.Generator().manual_seed(cfg.seed)
@@ -54,15 +58,20 @@ def other_styles(cfg: DictConfig) -> list[TensorDictBase]:
         detour(cfg, radii([section.detours]), side=mirror),
         straight(cfg),
     )
-    return [
-        rollouts(policy, count, cfg.seed + 20_000 + index, **cfg.env)
-        for index, policy in enumerate(policies)
-    ]
+    groups = []
+    for index, policy in enumerate(policies):
+        data = rollouts(policy, count, cfg.seed + 20_000 + index, **cfg.env)
+        if recorded is not None:
+            distance = distance_from_recorded(cfg, policy, recorded, count)
+            data = data[distance >= section.min_frechet]
+        if len(data) > 1:
+            groups.append(data)
+    return groups
 
 
-def contrast_styles(cfg: DictConfig) -> dict[str, TensorDictModuleBase]:
+def contrast_styles(cfg: DictConfig) -> dict[str, Driver]:
     """The demonstration and what it must be told from."""
-    styles: dict[str, TensorDictModuleBase] = {"demonstration": demonstrator(cfg)}
+    styles: dict[str, Driver] = {"demonstration": demonstrator(cfg)}
     for factor in (0.7, 1.3, 1.6):
         other = factor * cfg.demonstrations.radius
         styles[f"orbit {other:.1f} m"] = demonstrator(cfg, radius=other)
@@ -73,12 +82,39 @@ def contrast_styles(cfg: DictConfig) -> dict[str, TensorDictModuleBase]:
     return styles
 
 
+def rivals_of_recorded(cfg: DictConfig, recorded: TensorDictBase) -> dict[str, Driver]:
+    """What recorded demonstrations must be told from: of all styles, those that they are not."""
+    orbit, *others = contrast_styles(cfg).items()
+    styles = {f"orbit {cfg.demonstrations.radius:.1f} m": orbit[1], **dict(others)}
+    count, least = cfg.diagnostics.rollouts, cfg.style_negatives.min_frechet
+    return {
+        name: driver
+        for name, driver in styles.items()
+        if distance_from_recorded(cfg, driver, recorded, count).mean() >= least
+    }
+
+
 @torch.no_grad()
-def style_contrast(cfg: DictConfig, model: RewardModel, within: float = 2.0) -> dict[str, float]:
-    """Mean R of each style over its steps within 2 m of the human, on fresh scenes."""
+def style_contrast(
+    cfg: DictConfig,
+    model: RewardModel,
+    recorded: TensorDictBase | None = None,
+    within: float = 2.0,
+) -> dict[str, float]:
+    """Mean R of each style over its steps within 2 m of the human.
+
+    On fresh scenes, but for ``recorded`` demonstrations, which have only those that R has learned from.
+    """
+    if recorded is None:
+        drives = {}
+        drivers = contrast_styles(cfg)
+    else:
+        drives = {"demonstration": recorded}
+        drivers = rivals_of_recorded(cfg, recorded)
+    for name, policy in drivers.items():
+        drives[name] = rollouts(policy, cfg.diagnostics.rollouts, cfg.seed + 30_000, **cfg.env)
     result = {}
-    for name, policy in contrast_styles(cfg).items():
-        data = rollouts(policy, cfg.diagnostics.rollouts, cfg.seed + 30_000, **cfg.env)
+    for name, data in drives.items():
         score = model(data.select("observation", "action"))["demo_score"].squeeze(-1)
         near = data["mask"] & (data["human"][..., 0] < within)
         result[name] = score[near].mean().item()

@@ -21,6 +21,7 @@ from envs import NavigationEnv
 from envs.demonstrator import CircleDemonstrator, demonstrated_paths
 from envs.metrics import trajectories
 from envs.policy_env import make_policy_env, observation_size, simulated
+from torchrl_morl.data import load_demonstrations
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.evaluation import discrete_frechet, episode_mask
 from torchrl_morl.modules import make_actor
@@ -74,6 +75,32 @@ def pad(data: TensorDictBase, steps: int) -> TensorDictBase:
         return data
     tail = torch.zeros_like(data[:, :1]).expand(data.shape[0], missing)
     return torch.cat((data, tail), dim=1)
+
+
+def read_demonstrations(cfg: DictConfig) -> TensorDictBase | None:
+    """Somebody's own demonstrations ``[N, T]``; ``None`` where the scripted ones are asked for.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is no file of demonstrations, of another robot, or of another observation.
+    """
+    path = cfg.demonstrations.dataset
+    if path is None:
+        return None
+    data, metadata = load_demonstrations(path)
+    robot = metadata.get("robot") or metadata["config"]["env"]["robot"]
+    if robot != cfg.env.robot:
+        raise ValueError(
+            f"{path} was driven by {robot}, but env.robot is {cfg.env.robot}: set env.robot={robot}, "
+            "or import the recordings again with --robot."
+        )
+    size, expected = data["observation"].shape[-1], observation_size(cfg.env)
+    if size != expected:
+        raise ValueError(
+            f"{path} holds observations of {size} entries, here they have {expected}: leave "
+            "env.observe_human and env.observe_human_velocity as they were when it was made."
+        )
+    return data
 
 
 def collect_demonstrations(cfg: DictConfig) -> TensorDictBase:
@@ -213,9 +240,11 @@ def mean_and_error(values: Tensor) -> tuple[Tensor, Tensor]:
 def metadata(cfg: DictConfig) -> dict[str, Any]:
     """What made the demonstrations."""
     packages = ("torch", "torchrl", "tensordict", "mujoco", "torchrl-morl")
+    scripted = {"demonstrator": demonstrator_arguments(cfg)}
     return {
         "config": OmegaConf.to_container(cfg, resolve=True),
-        "demonstrator": demonstrator_arguments(cfg),
+        # Whoever finds it drives it, to measure how close a policy comes.
+        **(scripted if cfg.demonstrations.dataset is None else {}),
         "versions": {name: importlib.metadata.version(name) for name in packages},
     }
 

@@ -99,8 +99,13 @@ def evaluate(
     )
 
 
-def demonstrated(cfg: DictConfig, card: dict[str, Any]) -> TensorDict:
-    """What the demonstrator does in the scenes of the evaluation."""
+def demonstrated(cfg: DictConfig, card: dict[str, Any]) -> TensorDict | None:
+    """What the demonstrator does in the scenes of the evaluation.
+
+    ``None`` for the reward model of recorded demonstrations: nobody drives them in other scenes.
+    """
+    if "demonstrator" not in card:
+        return None
     kwargs = simulated(evaluation_arguments(cfg))
     env = NavigationEnv(**kwargs)
     start = env.reset()

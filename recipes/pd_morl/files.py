@@ -75,7 +75,7 @@ def save_training_policy(
         "evaluation": {"preferences": result.names, **result.columns},
         "score": result.score,
     }
-    if demo_card is not None:
+    if demo_card is not None and "demonstrator" in demo_card:
         card["demonstrator"] = demo_card["demonstrator"]
     save_policy(
         folder,

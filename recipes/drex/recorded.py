@@ -1,0 +1,49 @@
+"""Other styles beside recorded demonstrations: which of them are really other ones."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from envs import NavigationEnv
+from envs.demonstrator import Driver, demonstrated_paths
+from envs.policy_env import simulated
+
+from .utils import frechet
+
+
+@torch.no_grad()
+def distance_from_recorded(
+    cfg: DictConfig, driver: Driver, recorded: TensorDictBase, count: int
+) -> Tensor:
+    """Frechet distance between recorded drives and a driver in their scenes, as if without boxes.
+
+    Args:
+        cfg: of the recipe.
+        driver: for ``count`` robots, with a radius each or one for all.
+        recorded: demonstrations ``[N, T]``; they take turns.
+        count: how many drives are compared.
+
+    Returns:
+        ``[count]``, metres.
+    """
+    drives = recorded[torch.arange(count) % len(recorded)]
+    arguments = simulated(cfg.env) | {"scene": "empty"}
+    env = NavigationEnv(num_envs=count, **arguments)
+    start = env.state_spec.zero()
+    env.close()
+    first = drives[:, 0]
+    pose = first["pose"].to(start["qpos"])
+    distance, bearing = first["goal"].to(pose).unbind(-1)
+    heading = pose[:, 2] + bearing
+    ahead = torch.stack((heading.cos(), heading.sin()), dim=-1)
+    start["qpos"], start["human_pose"] = pose, first["human_pose"].to(start["human_pose"])
+    start["scene", "goal"] = pose[:, :2] + distance.unsqueeze(-1) * ahead
+    start["scene", "human_goal"] = start["scene", "goal"].clone()
+    driver = copy.deepcopy(driver)
+    driver.scaled = False
+    return frechet(drives, demonstrated_paths(driver, start, **arguments))
