@@ -143,6 +143,10 @@ def test_what_is_wrong_shows_before_anything_is_run(changes, message):
 # --- its stages
 
 
+def test_the_clone_is_evaluated_as_one_that_ignores_preferences(distilled):
+    assert load_policy(distilled / "behaviour_clone")[2]["preference"] == "ignored"
+
+
 @pytest.mark.parametrize(("count", "updates"), [(12, 100), (12, 500), (1, 500)])
 def test_cloning_returns_its_best_policy(count, updates):
     """Also when it ends before the first regular check, and with nothing to hold out."""

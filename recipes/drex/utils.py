@@ -188,7 +188,7 @@ def save_clone(
         observation_size=size,
         action_size=ACTION_SPEC.shape[-1],
         num_cells=num_cells,
-        card=metadata(cfg) | card,
+        card=metadata(cfg) | card | {"preference": "ignored"},
     )
 
 
