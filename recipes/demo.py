@@ -19,11 +19,8 @@ from torchrl_morl.evaluation import steerability
 
 from .figures import Row, sweep_figure, switch_figure
 from .film import film
-from .sweep import edge, observed_by, sweep
+from .sweep import GOAL_RADIUS, SHIPPED_POLICY, edge, observed_by, sweep
 from .switch import switch
-
-SHIPPED_POLICY = Path(__file__).parent / "policies" / "navigation"
-GOAL_RADIUS = 0.3
 
 
 def main() -> None:

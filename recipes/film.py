@@ -1,7 +1,13 @@
-"""A film of one policy in one scene, preference after preference."""
+"""Film one policy in one scene, preference after preference.
+
+Example::
+
+    python -m recipes.film --policy recipes/policies/moving_humans --scene moving_human --output walking.gif
+"""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +18,40 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torchrl.envs import step_mdp
 
+from envs import ROBOTS, SCENES
 from envs.policy_env import make_policy_env
+from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import PREFERENCE_COLORS
 from torchrl_morl.evaluation.video import write_video
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
+
+from .sweep import GOAL_RADIUS, SHIPPED_POLICY, observed_by
+
+
+def main() -> None:
+    """Film the corner preferences; ``--help`` lists the options."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument("--scene", default="showcase", choices=sorted(SCENES))
+    parser.add_argument("--robot", default="turtlebot2", choices=sorted(ROBOTS))
+    parser.add_argument("--seed", type=int, default=0, help="of the scene")
+    parser.add_argument("--output", type=Path, required=True, help="file to write, .gif or .mp4")
+    args = parser.parse_args()
+    if args.output.suffix not in (".gif", ".mp4"):
+        parser.error(f"--output must end in .gif or .mp4, got {args.output.name!r}.")
+    if args.output.exists():
+        parser.error(f"{args.output} exists and is not overwritten: choose another name.")
+    torch.set_num_threads(1)
+    try:
+        actor, space, card = load_policy(args.policy)
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+    where = {"scene": args.scene, "robot": args.robot, "seed": args.seed}
+    movie = film(args.output, actor, space, space.corners(), **where, **observed_by(card))
+    print(f"film: {movie}")
 
 
 @torch.no_grad()
@@ -27,7 +62,7 @@ def film(
     preferences: Tensor,
     *,
     scene: str = "showcase",
-    goal_radius: float = 0.3,
+    goal_radius: float = GOAL_RADIUS,
     seed: int = 0,
     max_episode_steps: int = 300,
     every: int = 3,
@@ -74,3 +109,7 @@ def film(
         trails.append((torch.stack(trail), color[:3]))
     env.close()
     return write_video(path, torch.stack(frames), fps=12)
+
+
+if __name__ == "__main__":
+    main()

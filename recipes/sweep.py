@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -17,6 +18,9 @@ from envs.policy_env import make_policy_env, observed, simulated
 from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
+
+SHIPPED_POLICY = Path(__file__).parent / "policies" / "navigation"
+GOAL_RADIUS = 0.3
 
 
 @dataclasses.dataclass(frozen=True)

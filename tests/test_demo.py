@@ -12,6 +12,7 @@ import torch
 from torchrl.data import Bounded
 
 from envs.policy_env import OBSERVATION_SIZE
+from recipes import film
 from tests._sweeps import DEMO_SPACE, is_png, needs_gl
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.modules import make_actor
@@ -66,3 +67,33 @@ def test_demo_leaves_pictures_and_a_film(policy, tmp_path):
     assert is_png(tmp_path / "trajectories.png") and is_png(tmp_path / "switch.png")
     # Each of the three corners drives for about 40 steps before it hits the human.
     assert 30 < len(imageio.mimread(tmp_path / "sweep.gif")) < 50
+
+
+@needs_gl
+def test_a_film_of_another_scene(policy, tmp_path):
+    """The robot drives ahead into the human who walks towards it: sooner than into a standing one."""
+    film = tmp_path / "walking.gif"
+    arguments = ("--policy", policy, "--scene", "moving_human", "--output", film)
+    command = [sys.executable, "-m", "recipes.film", *map(str, arguments)]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stderr
+    assert len(imageio.mimread(film)) > 5
+    again = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert again.returncode == 2
+    assert "is not overwritten" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--output", "film.avi"), "must end in .gif or .mp4, got 'film.avi'"),
+        (("--output", "film.gif", "--policy", "nowhere"), "nowhere"),
+    ],
+)
+def test_a_film_that_cannot_be_made(arguments, message, monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["film", *arguments])
+    with pytest.raises(SystemExit):
+        film.main()
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

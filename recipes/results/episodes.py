@@ -12,8 +12,7 @@ from envs.scenes import get_scene
 from envs.shortest_path import shortest_path_length
 from torchrl_morl import evaluation
 
-from ..demo import GOAL_RADIUS
-from ..sweep import Sweep
+from ..sweep import GOAL_RADIUS, Sweep
 
 OUTCOMES = ("success", "collision_human", "collision_obstacle", "timeout")
 CONTACT = TURTLEBOT2.radius + HUMAN_RADIUS

@@ -1,0 +1,39 @@
+"""Every policy that comes with the checkout: it loads, tells what made it, and drives."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from envs.policy_env import make_policy_env
+from recipes.sweep import observed_by
+from torchrl_morl.deploy import load_policy
+from torchrl_morl.transforms import PreferenceSampler
+
+FOLDERS = sorted((Path(__file__).resolve().parent.parent / "recipes" / "policies").iterdir())
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_it_drives_a_second_in_the_environment_of_its_card(folder):
+    actor, space, card = load_policy(folder)
+    scene = card["config"]["evaluation"].get("scene", card["config"]["env"]["scene"])
+    env = make_policy_env(
+        PreferenceSampler(space, seed=0), num_envs=3, scene=scene, seed=0, **observed_by(card)
+    )
+    with torch.no_grad():
+        rollout = env.rollout(5, actor, break_when_any_done=False)
+    env.close()
+    way = (rollout["next", "pose"] - rollout["pose"])[..., :2].norm(dim=-1).sum(-1)
+    assert (way > 0.2).all(), way
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_its_card_names_no_place_of_the_machine_that_made_it(folder):
+    text = (folder / "policy.json").read_text()
+    used = json.loads(text)["card"]["config"]["demonstrations"]
+    assert not any(
+        Path(used[name]).is_absolute() for name in used if name != "prefill" and used[name]
+    )
