@@ -210,6 +210,17 @@ def test_without_a_compiler_the_training_says_so(monkeypatch):
         assert compile_losses(cfg, losses) == (len, sum)
 
 
+@pytest.mark.parametrize("layer_norm", [True, False])
+def test_the_actors_loss_is_compiled_where_that_is_faster(layer_norm, monkeypatch):
+    monkeypatch.setattr(torch, "compile", lambda function: ("compiled", function))
+    monkeypatch.setenv("CXX", sys.executable)
+    network = {"critic_layer_norm": layer_norm}
+    cfg = OmegaConf.create({"device": "cpu", "compute": {"compile": True}, "network": network})
+    losses = SimpleNamespace(value_loss=len, actor_loss=sum)
+    actor = ("compiled", sum) if layer_norm else sum
+    assert compile_losses(cfg, losses) == (("compiled", len), actor)
+
+
 def test_training_that_ends_between_two_evaluations_keeps_its_policy(tmp_path):
     result = train(tmp_path, "evaluation.interval=100000", "collector.total_frames=576")
     assert result.returncode == 0, result.stderr

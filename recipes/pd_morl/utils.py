@@ -214,8 +214,12 @@ def compile_losses(cfg: DictConfig, loss: MOTD3Loss) -> tuple[Loss, Loss]:
             stacklevel=2,
         )
         return losses
-    value_loss, actor_loss = (torch.compile(function) for function in losses)
-    return value_loss, actor_loss
+    value_loss, actor_loss = losses
+    if cfg.network.critic_layer_norm:
+        actor_loss = torch.compile(actor_loss)
+    # Otherwise the actor's loss stays eager: of frozen critics without norms, PyTorch 2.13 stores where
+    # each activation is positive, one entry after the other, which takes longer than all the rest.
+    return torch.compile(value_loss), actor_loss
 
 
 def make_optimizers(
