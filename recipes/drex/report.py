@@ -169,7 +169,13 @@ def heat_map(
         action = torch.stack((speed, turn_rate), dim=-1)
         data = TensorDict({"observation": features, "action": action}, batch_size=x.shape)
         score = model(data)["demo_score"].squeeze(-1)
-        image = ax.pcolormesh(x, y, score, vmin=0, vmax=1, cmap="viridis", shading="auto")
+        image = ax.pcolormesh(
+            *(values.numpy() for values in (x, y, score)),
+            vmin=0,
+            vmax=1,
+            cmap="viridis",
+            shading="auto",
+        )
         circle = torch.linspace(0, torch.pi, 100)
         line = {"color": "white", "linestyle": "--", "linewidth": 1.5}
         ax.plot(radius * circle.cos(), mirror * radius * circle.sin(), **line)
