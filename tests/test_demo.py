@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,11 +12,10 @@ from torchrl.data import Bounded
 
 from envs.policy_env import OBSERVATION_SIZE
 from recipes import film
+from tests._command import run
 from tests._sweeps import DEMO_SPACE, is_png, needs_gl
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.modules import make_actor
-
-ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +44,7 @@ def policy(tmp_path_factory) -> Path:
 @needs_gl
 def test_demo_leaves_pictures_and_a_film(policy, tmp_path):
     arguments = ("--policy", policy, "--output", tmp_path, "--episodes", 2, "--steps", 2)
-    result = subprocess.run(
-        [sys.executable, "-m", "recipes.demo", *map(str, arguments)],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+    result = run("recipes.demo", *arguments)
     assert result.returncode == 0, result.stderr
     assert "Warning" not in result.stderr
     names = ["sweep.gif", "switch.png", "trajectories.png"]
@@ -71,14 +62,12 @@ def test_demo_leaves_pictures_and_a_film(policy, tmp_path):
 
 @needs_gl
 def test_a_film_of_another_scene(policy, tmp_path):
-    """The robot drives ahead into the human who walks towards it: sooner than into a standing one."""
     film = tmp_path / "walking.gif"
     arguments = ("--policy", policy, "--scene", "moving_human", "--output", film)
-    command = [sys.executable, "-m", "recipes.film", *map(str, arguments)]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    result = run("recipes.film", *arguments)
     assert result.returncode == 0, result.stderr
     assert len(imageio.mimread(film)) > 5
-    again = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    again = run("recipes.film", *arguments)
     assert again.returncode == 2
     assert "is not overwritten" in again.stderr
 

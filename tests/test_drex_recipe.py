@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import subprocess
-import sys
 from pathlib import Path
 
 import matplotlib.axes
@@ -18,7 +17,8 @@ from envs.demonstrator import CircleDemonstrator
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env
 from recipes.drex import drex, report, utils
 from recipes.pd_morl import utils as pd_morl
-from tests._drex import ROOT, TINY, config
+from tests._command import run
+from tests._drex import TINY, config
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.deploy import load_policy, load_reward_model
 from torchrl_morl.modules import RewardModel
@@ -34,17 +34,6 @@ STYLES = (
     "distance keeping",
     "straight",
 )
-
-
-def run(module: str, *args: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", module, *map(str, args)],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
 
 
 def distill(folder: Path, *overrides: str) -> subprocess.CompletedProcess[str]:

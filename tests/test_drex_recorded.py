@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,7 +13,8 @@ from torch.testing import assert_close
 from recipes.drex import augmentation, drex, styles, utils
 from recipes.drex.recorded import distance_from_recorded
 from recipes.pd_morl import evaluation
-from tests._drex import ROOT, TINY, config
+from tests._command import run
+from tests._drex import TINY, config
 from torchrl_morl.data import load_demonstrations, save_demonstrations
 from torchrl_morl.deploy import load_policy
 
@@ -34,15 +34,8 @@ def file(circles, tmp_path_factory) -> Path:
     return save_demonstrations(path, circles, {"source": "drives.csv", "robot": "turtlebot2"})
 
 
-def run(module: str, *args: object) -> str:
-    result = subprocess.run(
-        [sys.executable, "-m", module, *map(str, args)],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+def printed(module: str, *args: object) -> str:
+    result = run(module, *args)
     assert result.returncode == 0, result.stderr
     return result.stdout
 
@@ -103,7 +96,7 @@ def test_a_style_that_is_the_recorded_one_is_no_rival(circles):
 @pytest.fixture(scope="module")
 def distilled(file, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("drex") / "run"
-    out = run(
+    out = printed(
         "recipes.drex.drex", *TINY, f"demonstrations.dataset={file}", f"hydra.run.dir={folder}"
     )
     assert "lead of the demonstration" in out
@@ -133,7 +126,7 @@ def test_a_policy_learns_from_recorded_drives(distilled, tmp_path):
         *("network.num_cells=[16]", "replay_buffer.batch_size=16", "optim.updates_per_batch=2"),
         *("compute.compile=false", "logger.backends=[csv]", "demonstrations.prefill=2"),
     )
-    out = run(
+    out = printed(
         *("recipes.pd_morl.pd_morl", *tiny, f"hydra.run.dir={tmp_path / 'run'}"),
         f"demonstrations.reward_model={distilled / 'reward_model'}",
         f"demonstrations.dataset={distilled / 'demonstrations.safetensors'}",
@@ -143,7 +136,9 @@ def test_a_policy_learns_from_recorded_drives(distilled, tmp_path):
     _, space, card = load_policy(policy)
     assert space.tunable == ("demo", "distance", "efficiency")
     assert "demonstrator" not in card
-    table = run("recipes.evaluate", "--policy", policy, "--episodes", 1, "--preferences", "1,0,0")
+    table = printed(
+        "recipes.evaluate", "--policy", policy, "--episodes", 1, "--preferences", "1,0,0"
+    )
     assert "success" in table
     assert "Frechet" not in table
 

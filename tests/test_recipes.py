@@ -20,6 +20,7 @@ import recipes.evaluate
 from envs import NavigationEnv
 from envs.policy_env import OBSERVATION_SIZE
 from recipes.pd_morl.utils import compile_losses
+from tests._command import run
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_policy
 from torchrl_morl.modules import make_actor
@@ -41,17 +42,6 @@ TINY = (
     "optim.updates_per_batch=4",
     "compute.compile=false",
 )
-
-
-def run(module: str, *args: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", module, *map(str, args)],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
 
 
 # --- recipes.pd_morl

@@ -49,7 +49,7 @@ def main(cfg: DictConfig) -> None:
         snippets = ranking.ranked_snippets(cfg, noisy, others)
         model, scores = ranking.train_reward_model(cfg, snippets)
     with timeit("diagnostics"):
-        report = write_report(run_dir, cfg, model, noisy, scores, recorded)
+        report = write_report(run_dir, cfg, model, noisy, scores)
     card = {"behaviour_cloning_loss": cloning_loss, **scores, **report}
     ranking.save_model(run_dir / "reward_model", cfg, model, card)
     utils.save_clone(

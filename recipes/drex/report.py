@@ -27,6 +27,7 @@ from envs.policy_env import (
 )
 from envs.robots import get_robot
 from torchrl_morl.evaluation import steerability
+from torchrl_morl.geometry import rotate
 from torchrl_morl.modules import RewardModel
 
 from . import ranking, styles, utils
@@ -42,11 +43,10 @@ def write_report(
     model: RewardModel,
     groups: list[tuple[float, TensorDictBase]],
     held_out: dict[str, Any],
-    recorded: TensorDictBase | None = None,
 ) -> dict[str, Any]:
     """Numbers and pictures of a reward model.
 
-    What is shown of the demonstrated circle is missing where demonstrations were ``recorded``.
+    What is shown of the demonstrated circle is missing where the recipe was given recorded ones.
 
     Args:
         run_dir: where the pictures go.
@@ -54,12 +54,12 @@ def write_report(
         model: the reward model.
         groups: demonstrations, then the noisy rollouts with their quality (minus the noise level).
         held_out: of :func:`ranking.held_out_accuracy`.
-        recorded: the demonstrations ``[N, T]``, where the recipe was given a dataset.
 
     Returns:
         Diagnostics, as JSON values.
     """
     noisy = groups[1:]
+    recorded = None if cfg.demonstrations.dataset is None else groups[0][1]
     scores = ranking.mean_scores(model, noisy)
     levels = [-quality for quality, _ in noisy]
     every = torch.cat(
@@ -202,10 +202,8 @@ def drives_figure(path: Path, model: RewardModel, drives: dict[str, TensorDictBa
         position = data["pose"][..., :2] - data["human_pose"][..., :2]
         first = position[:, :1]
         turn = torch.pi - torch.atan2(first[..., 1], first[..., 0])
-        x, y = position.unbind(-1)
-        turned = x * turn.cos() - y * turn.sin(), x * turn.sin() + y * turn.cos()
-        x, y, score = (value[data["mask"]] for value in (*turned, score))
-        image = ax.scatter(x, y, c=score, s=3, vmin=0, vmax=1, cmap="viridis")
+        x, y = rotate(position, turn.expand(data.shape))[data["mask"]].unbind(-1)
+        image = ax.scatter(x, y, c=score[data["mask"]], s=3, vmin=0, vmax=1, cmap="viridis")
         ax.add_patch(plt.Circle((0, 0), HUMAN_RADIUS, color="#d55e00"))
         ax.set_aspect("equal")
         ax.set_title(f"{title} (n = {len(data)})")

@@ -84,8 +84,8 @@ def contrast_styles(cfg: DictConfig) -> dict[str, Driver]:
 
 def rivals_of_recorded(cfg: DictConfig, recorded: TensorDictBase) -> dict[str, Driver]:
     """What recorded demonstrations must be told from: of all styles, those that they are not."""
-    orbit, *others = contrast_styles(cfg).items()
-    styles = {f"orbit {cfg.demonstrations.radius:.1f} m": orbit[1], **dict(others)}
+    styles = contrast_styles(cfg)
+    styles[f"orbit {cfg.demonstrations.radius:.1f} m"] = styles.pop("demonstration")
     count, least = cfg.diagnostics.rollouts, cfg.style_negatives.min_frechet
     return {
         name: driver

@@ -27,7 +27,7 @@ from torchrl_morl.evaluation import discrete_frechet, episode_mask
 from torchrl_morl.modules import make_actor
 from torchrl_morl.modules.exploration import HeldEGreedyModule
 
-from ..pd_morl.utils import make_preference_space
+from ..pd_morl.utils import check_observation, make_preference_space
 
 ACTION_SPEC = Bounded(-1.0, 1.0, (2,))
 _KEPT = ("observation", "action", "goal", "human", "pose", "human_pose")
@@ -94,12 +94,7 @@ def read_demonstrations(cfg: DictConfig) -> TensorDictBase | None:
             f"{path} was driven by {robot}, but env.robot is {cfg.env.robot}: set env.robot={robot}, "
             "or import the recordings again with --robot."
         )
-    size, expected = data["observation"].shape[-1], observation_size(cfg.env)
-    if size != expected:
-        raise ValueError(
-            f"{path} holds observations of {size} entries, here they have {expected}: leave "
-            "env.observe_human and env.observe_human_velocity as they were when it was made."
-        )
+    check_observation(cfg, path, data["observation"].shape[-1])
     return data
 
 
@@ -240,13 +235,14 @@ def mean_and_error(values: Tensor) -> tuple[Tensor, Tensor]:
 def metadata(cfg: DictConfig) -> dict[str, Any]:
     """What made the demonstrations."""
     packages = ("torch", "torchrl", "tensordict", "mujoco", "torchrl-morl")
-    scripted = {"demonstrator": demonstrator_arguments(cfg)}
-    return {
+    made = {
         "config": OmegaConf.to_container(cfg, resolve=True),
-        # Whoever finds it drives it, to measure how close a policy comes.
-        **(scripted if cfg.demonstrations.dataset is None else {}),
         "versions": {name: importlib.metadata.version(name) for name in packages},
     }
+    if cfg.demonstrations.dataset is None:
+        # Whoever finds it drives it, to measure how close a policy comes.
+        made["demonstrator"] = demonstrator_arguments(cfg)
+    return made
 
 
 def demonstrator(cfg: DictConfig, **changes: Any) -> CircleDemonstrator:
