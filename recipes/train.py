@@ -1,4 +1,4 @@
-"""Train the shipped policy from nothing: demonstrations, D-REX, PD-MORL, evaluation.
+"""Train the shipped policy from nothing: demonstrations, D-REX, PD-MORL, MO-PPO, evaluation.
 
 ``make train`` runs this. Every stage is a recipe of its own; options are passed on to them::
 
@@ -24,13 +24,15 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="folder to write; must not exist")
     parser.add_argument("--drex", nargs="*", default=[], help="overrides of recipes/drex")
     parser.add_argument("--pd-morl", nargs="*", default=[], help="overrides of recipes/pd_morl")
+    parser.add_argument("--mo-ppo", nargs="*", default=[], help="overrides of recipes/mo_ppo")
+    parser.add_argument("--without-mo-ppo", action="store_true", help="end with PD-MORL's policy")
     parser.add_argument("--episodes", type=int, default=100, help="of the final evaluation")
     args = parser.parse_args()
     output = args.output or Path("runs/train") / time.strftime("%Y-%m-%d_%H-%M-%S")
     if output.exists():
         parser.error(f"{output} exists and is not overwritten: choose another folder.")
     output = output.resolve()
-    drex, morl = output / "drex", output / "pd_morl"
+    drex, morl, ppo = (output / name for name in ("drex", "pd_morl", "mo_ppo"))
 
     stages = {
         "D-REX": ["recipes.drex.drex", f"hydra.run.dir={drex}", *args.drex],
@@ -44,6 +46,16 @@ def main() -> None:
     }
     seconds = {name: run(name, command) for name, command in stages.items()}
     policy = final_policy(morl)
+    if not args.without_mo_ppo:
+        command = [
+            "recipes.mo_ppo.mo_ppo",
+            f"hydra.run.dir={ppo}",
+            f"policy={policy}",
+            f"demonstrations.reward_model={drex / 'reward_model'}",
+            *args.mo_ppo,
+        ]
+        seconds["MO-PPO"] = run("MO-PPO", command)
+        policy = final_policy(ppo)
     command = ["recipes.evaluate", "--policy", str(policy), "--episodes", str(args.episodes)]
     seconds["evaluation"] = run("evaluation", [*command, "--grid"])
     for name, value in seconds.items():

@@ -19,8 +19,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 import recipes.evaluate
 from envs import NavigationEnv
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env
-from recipes.scalarized import sac, td3, training, utils
+from recipes.scalarized import sac, td3, utils
 from recipes.sweep import sweep
+from recipes.task import Task
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_reward_model
 from torchrl_morl.modules import RewardModel
@@ -185,12 +186,12 @@ def test_scalar_reward_of_an_environment_follows_the_sampled_preference():
     assert (data["preference"][:, 0].std(0) > 0).all()
 
 
-def task(space: PreferenceSpace = SPACE) -> training.Task:
+def task(space: PreferenceSpace = SPACE) -> Task:
     env = make_policy_env(num_envs=1, seed=0)
-    return training.Task(Path(), torch.device("cpu"), space, env, env, None, None, None)
+    return Task(Path(), torch.device("cpu"), space, env, env, None, None, None)
 
 
-def sampled(cfg: DictConfig, task: training.Task) -> TensorDict:
+def sampled(cfg: DictConfig, task: Task) -> TensorDict:
     """A batch from a buffer that holds one transition."""
     transition = TensorDict(
         observation=torch.zeros(1, OBSERVATION_SIZE),

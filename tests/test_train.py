@@ -43,23 +43,33 @@ def test_training_that_saved_no_policy_is_named(folder_exists, tmp_path):
     assert "--pd-morl collector.total_frames=" in message
 
 
-def test_train_runs_its_stages_one_after_the_other(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("polish", [True, False])
+def test_train_runs_its_stages_one_after_the_other(polish, tmp_path, monkeypatch, capsys):
     calls = []
 
     def run(name, command):
         calls.append((name, command))
         if name == "PD-MORL":
             save_scores(tmp_path / "run" / "pd_morl", [1, 2])
+        if name == "MO-PPO":
+            save_scores(tmp_path / "run" / "mo_ppo", [3])
         return 1.0
 
     monkeypatch.setattr(recipes.train, "run", run)
     options = ["--output", str(tmp_path / "run"), "--episodes", "5", "--pd-morl", "seed=1"]
+    options += ["--mo-ppo", "seed=3"] if polish else ["--without-mo-ppo"]
     monkeypatch.setattr(sys, "argv", ["train.py", *options, "--drex", "seed=2"])
     recipes.train.main()
-    assert [name for name, _ in calls] == ["D-REX", "PD-MORL", "evaluation"]
-    drex, morl, evaluation = (command for _, command in calls)
+    stages = ["D-REX", "PD-MORL", *(["MO-PPO"] if polish else []), "evaluation"]
+    assert [name for name, _ in calls] == stages
+    drex, morl, *ppo, evaluation = (command for _, command in calls)
     folder = tmp_path / "run"
     policy = str(folder / "pd_morl" / "policies" / "000002000")
+    if polish:
+        assert f"policy={policy}" in ppo[0]
+        assert f"demonstrations.reward_model={folder / 'drex' / 'reward_model'}" in ppo[0]
+        assert ppo[0][-1] == "seed=3"
+        policy = str(folder / "mo_ppo" / "policies" / "000001000")
     assert drex == ["recipes.drex.drex", f"hydra.run.dir={folder / 'drex'}", "seed=2"]
     assert f"demonstrations.reward_model={folder / 'drex' / 'reward_model'}" in morl
     assert f"demonstrations.dataset={folder / 'drex' / 'demonstrations.safetensors'}" in morl

@@ -66,9 +66,14 @@ def save_training_policy(
     space: PreferenceSpace,
     result: Evaluation,
     demo_card: dict[str, Any] | None,
+    *,
+    num_cells: tuple[int, ...] | None = None,
     **facts: Any,
 ) -> None:
-    """Save a policy whose card tells what made it, how it did, and other ``facts``."""
+    """Save a policy whose card tells what made it, how it did, and other ``facts``.
+
+    Its hidden sizes are those of the configuration unless ``num_cells`` says otherwise.
+    """
     card = {
         **facts,
         "config": OmegaConf.to_container(cfg, resolve=True),
@@ -83,7 +88,7 @@ def save_training_policy(
         space=space,
         observation_size=observation_size(cfg.env),
         action_size=2,
-        num_cells=tuple(cfg.network.num_cells),
+        num_cells=num_cells or tuple(cfg.network.num_cells),
         card=card,
     )
 

@@ -53,7 +53,7 @@ TRANSITION = (
 def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | None:
     """The reward model that adds the objective "demo", and its card; ``None`` without one."""
     folder = cfg.demonstrations.reward_model
-    if folder is None and cfg.demonstrations.dataset is not None:
+    if folder is None and cfg.demonstrations.get("dataset") is not None:
         raise ValueError(
             "demonstrations.dataset needs demonstrations.reward_model: without one there is no "
             'objective "demo" for them.'
@@ -153,7 +153,7 @@ def add_straight_drive(
     critic: TensorDictModule, value: nn.Module, in_keys: list[str]
 ) -> TensorDictSequential:
     """A critic whose network learns only what is left of the values."""
-    key = "state_action_value"
+    (key,) = critic.out_keys
     return TensorDictSequential(
         critic,
         TensorDictModule(value, in_keys=in_keys, out_keys=["straight_drive_value"]),

@@ -17,6 +17,7 @@ from torchrl._utils import timeit
 from torchrl.objectives import SoftUpdate
 
 from recipes.pd_morl.utils import make_optimizers, step
+from recipes.task import make_averaged, make_task
 
 from . import training, utils
 
@@ -24,7 +25,7 @@ from . import training, utils
 @hydra.main(version_base="1.3", config_path="", config_name="sac")
 def main(cfg: DictConfig) -> None:
     """Train, evaluate while training, and save the deterministic part of the policy."""
-    task = training.make_task(cfg)
+    task = make_task(cfg)
     replay_buffer = utils.make_replay_buffer(cfg, task)
 
     # The actor that is saved and the one that explores are one network: they share the mean.
@@ -32,7 +33,7 @@ def main(cfg: DictConfig) -> None:
     policy = utils.make_stochastic_policy(cfg, task, actor)
     loss = utils.make_sac_loss(cfg, task, policy)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
-    averaged = training.make_averaged(cfg, actor)
+    averaged = make_averaged(cfg, actor)
     optimizers, schedulers = make_optimizers(cfg, loss)
     optimizers["alpha"] = torch.optim.Adam([loss.log_alpha], lr=cfg.optim.lr)
 

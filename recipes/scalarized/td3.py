@@ -16,6 +16,7 @@ from torchrl._utils import timeit
 from torchrl.objectives import SoftUpdate
 
 from recipes.pd_morl.utils import make_optimizers, make_policy, step
+from recipes.task import make_averaged, make_task
 
 from . import training, utils
 
@@ -25,7 +26,7 @@ def main(cfg: DictConfig) -> None:
     """Train, evaluate while training, and save the last and the best policy."""
     if cfg.objective not in ("preference", "core"):
         raise ValueError(f"objective must be 'preference' or 'core', got {cfg.objective!r}.")
-    task = training.make_task(cfg)
+    task = make_task(cfg)
     if cfg.objective == "core":
         task = utils.core_only(task)
     replay_buffer = utils.make_replay_buffer(cfg, task)
@@ -35,7 +36,7 @@ def main(cfg: DictConfig) -> None:
         utils.cut_off_preference(actor, task.space)
     loss = utils.make_td3_loss(cfg, task, actor)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
-    averaged = training.make_averaged(cfg, actor)
+    averaged = make_averaged(cfg, actor)
     optimizers, schedulers = make_optimizers(cfg, loss)
 
     def update(batch: TensorDictBase, updates: int, frames: int) -> dict[str, Tensor]:

@@ -2,93 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import torch
 import tqdm
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel
 from torchrl._utils import timeit
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
-from torchrl.envs import EnvBase
 
 from recipes.pd_morl import evaluation, files, utils
-from torchrl_morl.modules import RewardModel
-from torchrl_morl.preferences import PreferenceSpace
+from recipes.task import Task
 
 Update = Callable[[TensorDictBase, int, int], dict[str, Tensor]]
 """``update(batch, updates, frames)``: one update of an agent, the count of it from 1, frames so far."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Task:
-    """What every agent is given."""
-
-    run_dir: Path
-    device: torch.device
-    space: PreferenceSpace
-    env: EnvBase
-    eval_env: EnvBase
-    reward_model: RewardModel | None
-    demo_card: dict[str, Any] | None
-    demonstration: TensorDict | None
-    """What the demonstrator does in the scenes of the evaluation."""
-    facts: dict[str, str] = dataclasses.field(default_factory=dict)
-    """For the cards of its policies."""
-
-
-def make_task(cfg: DictConfig) -> Task:
-    """Environments, preferences and demonstrations as in PD-MORL; nothing is written yet.
-
-    Raises:
-        FileExistsError: if the run folder holds policies.
-        ValueError: for a configuration that the environment refuses.
-    """
-    torch.set_num_threads(cfg.compute.torch_threads)
-    torch.set_float32_matmul_precision(cfg.compute.matmul_precision)
-    torch.manual_seed(cfg.seed)
-    run_dir = Path(HydraConfig.get().runtime.output_dir)
-    files.check_run_dir(run_dir)
-    _check(cfg)
-    demo = utils.load_demonstration_objective(cfg)
-    reward_model, demo_card = demo if demo else (None, None)
-    space = utils.make_preference_space(with_demonstrations=demo is not None)
-    return Task(
-        run_dir=run_dir,
-        device=torch.device(cfg.device),
-        space=space,
-        env=utils.make_train_env(cfg, space, reward_model),
-        eval_env=utils.make_eval_env(cfg, space, reward_model),
-        reward_model=reward_model,
-        demo_card=demo_card,
-        demonstration=evaluation.demonstrated(cfg, demo_card) if demo else None,
-    )
-
-
-def _check(cfg: DictConfig) -> None:
-    """What nothing further down would refuse."""
-    if not 0 < cfg.loss.gamma <= 1:
-        raise ValueError(f"loss.gamma must be in (0, 1], got {cfg.loss.gamma}.")
-    if cfg.optim.updates_per_batch < 1:
-        raise ValueError(
-            f"optim.updates_per_batch must be at least 1, got {cfg.optim.updates_per_batch}."
-        )
-
-
-def make_averaged(cfg: DictConfig, actor: TensorDictModule) -> AveragedModel:
-    """The policy that is evaluated and saved."""
-    return AveragedModel(
-        actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.optim.actor_average), use_buffers=False
-    )
 
 
 def train(
@@ -113,6 +46,10 @@ def train(
         schedulers: step once a batch of frames.
         state: what a checkpoint holds.
     """
+    if cfg.optim.updates_per_batch < 1:
+        raise ValueError(
+            f"optim.updates_per_batch must be at least 1, got {cfg.optim.updates_per_batch}."
+        )
     files.write_run_info(task.run_dir)
     loggers = utils.make_loggers(cfg, task.run_dir)
     collector = Collector(

@@ -16,10 +16,9 @@ from torchrl.objectives import LossModule, SACLoss, TD3Loss
 import torchrl_morl.modules
 from envs.policy_env import observation_size
 from recipes.pd_morl import utils as pd_morl
+from recipes.task import Task
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import ScalarizeReward
-
-from .training import Task
 
 
 class CoreSpace(PreferenceSpace):

@@ -1,0 +1,123 @@
+"""MO-PPO: polish a preference-conditioned policy on its own episodes, all preferences at once.
+
+PPO (https://arxiv.org/abs/1707.06347) whose critic has one value per objective; the advantages are
+weighed by the preference of their episode. Run it with ``python -m recipes.mo_ppo.mo_ppo
+policy=FOLDER``; every field of ``config.yaml`` can be overridden on the command line.
+
+It follows PD-MORL: critics of TD3 cannot tell actions apart that differ by hundredths of a percent,
+which PPO can by averaging over thousands of episodes.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import hydra
+import torch
+import tqdm
+from omegaconf import DictConfig
+from torchrl._utils import timeit
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.collectors import Collector
+from torchrl.envs import RewardScaling
+
+from recipes.pd_morl import evaluation, files
+from recipes.pd_morl.utils import crossed, log_metrics, make_loggers, step
+from recipes.task import make_averaged, make_task
+
+from . import utils
+
+
+@hydra.main(version_base="1.3", config_path="", config_name="config")
+def main(cfg: DictConfig) -> None:
+    """Polish a policy, evaluate it on the way, and save what is evaluated."""
+    cfg = utils.complete(cfg)
+    utils.check(cfg)
+    task = make_task(cfg)
+    start, card = utils.load_start(cfg, task)
+
+    # The policy is noise around the actor; the noise is all that PPO adds to it.
+    actor = copy.deepcopy(start).requires_grad_(True)
+    sigma = torch.tensor(list(cfg.collector.exploration_sigma), device=task.device)
+    noisy, policy = utils.make_policy(actor, sigma)
+    critic = utils.make_critic(cfg, task)
+    advantage = utils.make_advantage(cfg, task, critic)
+    loss = utils.make_loss(cfg, noisy, critic)
+    averaged = make_averaged(cfg, actor)
+    optimizers, schedulers = utils.make_optimizers(cfg, loss)
+    replay_buffer = utils.make_replay_buffer(cfg, task)
+    env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
+    demo = task.space.tunable.index("demo") if "demo" in task.space.tunable else None
+    # Nothing is written before the configuration has been accepted.
+    files.write_run_info(task.run_dir)
+    loggers = make_loggers(cfg, task.run_dir)
+
+    collector = Collector(
+        env,
+        policy,
+        frames_per_batch=cfg.collector.frames_per_batch,
+        total_frames=cfg.collector.total_frames,
+        policy_device=task.device,
+        storing_device=task.device,
+        auto_register_policy_transforms=False,
+    )
+    checkpoints = CheckpointRotation(
+        task.run_dir / "checkpoints", keep_last=1, keep_best=("score", "max")
+    )
+    state = Checkpoint(loss=loss, averaged=averaged, **optimizers, **schedulers)
+
+    frames = 0
+    progress = tqdm.tqdm(total=cfg.collector.total_frames, unit="step", smoothing=0.05)
+    for batches, data in enumerate(collector):
+        collected, frames = frames, frames + data.numel()
+        progress.update(data.numel())
+        # Advantages of every objective, weighed by the preference of the episode.
+        with timeit("advantage"):
+            advantage(data)
+        replay_buffer.empty()
+        replay_buffer.extend(data.reshape(-1).select(*utils.BATCH))
+
+        # The critic starts from nothing: the actor waits until it has learned the values.
+        trains_actor = batches >= cfg.optim.critic_batches
+        metrics = {}
+        for _ in range(cfg.optim.epochs):
+            for batch in replay_buffer:
+                with timeit("update"):
+                    losses = loss(batch)
+                    step(optimizers["critic"], losses["loss_critic"], cfg.optim.max_grad_norm)
+                    if trains_actor:
+                        loss_actor = losses["loss_objective"]
+                        if demo is not None:
+                            # The demonstrated style is a learned reward: see config.yaml.
+                            metrics["anchor"] = utils.anchor(
+                                batch, actor, start, sigma=sigma, objective=demo
+                            )
+                            loss_actor = loss_actor + cfg.loss.anchor_coeff * metrics["anchor"]
+                        step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
+                        averaged.update_parameters(actor)
+                metrics |= losses
+        if trains_actor:
+            for scheduler in schedulers.values():
+                scheduler.step()
+        logged = {f"train/{name}": value.detach().mean() for name, value in metrics.items()}
+        log_metrics(loggers, logged, frames)
+
+        last = frames >= cfg.collector.total_frames
+        if last or crossed(cfg.evaluation.interval, collected, frames):
+            with timeit("evaluate"):
+                result = evaluation.evaluate(
+                    cfg, task.eval_env, averaged.module, task.space, task.demonstration
+                )
+            log_metrics(loggers, result.metrics, frames)
+            checkpoints.save(state, step=frames, metadata={"score": result.score})
+            utils.save(task, cfg, frames, averaged.module, result, card)
+            tqdm.tqdm.write(result.table(frames))
+            progress.set_postfix(success=f"{result.success:.0f}%", score=f"{result.score:.2f}")
+    progress.close()
+    collector.shutdown()
+    timeit.print()
+    files.finish(task.run_dir, cfg)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,262 @@
+"""What the MO-PPO script is made of, beside what it shares with PD-MORL."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from tensordict.nn import (
+    ProbabilisticTensorDictModule,
+    ProbabilisticTensorDictSequential,
+    TensorDictModule,
+    TensorDictSequential,
+)
+from torch import Tensor, nn
+from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
+from torchrl.modules import IndependentNormal
+from torchrl.objectives import ClipPPOLoss
+
+from envs.policy_env import observation_size
+from recipes.pd_morl import files
+from recipes.pd_morl import utils as pd_morl
+from recipes.pd_morl.evaluation import Evaluation
+from recipes.task import Task
+from torchrl_morl.deploy import load_policy
+from torchrl_morl.modules import make_vector_critic
+from torchrl_morl.objectives import MultiObjectiveGAE
+
+BATCH = (
+    "observation",
+    "preference",
+    "noisy_action",
+    "noisy_action_log_prob",
+    "advantage",
+    "value_target",
+)
+"""What an update reads of a transition."""
+
+
+def check(cfg: DictConfig) -> None:
+    """What nothing further down would refuse.
+
+    Raises:
+        ValueError: for a batch size, a noise or a coefficient that means nothing.
+    """
+    if not 0 < cfg.optim.batch_size <= cfg.collector.frames_per_batch:
+        raise ValueError(
+            "optim.batch_size must lie between 1 and collector.frames_per_batch, "
+            f"{cfg.collector.frames_per_batch}, got {cfg.optim.batch_size}."
+        )
+    sigma = list(cfg.collector.exploration_sigma)
+    if len(sigma) != 2 or min(sigma) <= 0:
+        raise ValueError(
+            "collector.exploration_sigma must be positive, for speed and turn rate, since without "
+            f"noise there is nothing to compare, got {sigma}."
+        )
+    if cfg.loss.anchor_coeff < 0:
+        raise ValueError(f"loss.anchor_coeff must not be negative, got {cfg.loss.anchor_coeff}.")
+
+
+def complete(cfg: DictConfig) -> DictConfig:
+    """The configuration with what is null in ``env`` and ``evaluation`` taken from the policy's card.
+
+    Raises:
+        ValueError: if the card does not tell.
+    """
+    _, _, card = load_policy(cfg.policy)
+    cfg = cfg.copy()
+    for part in ("env", "evaluation"):
+        trained = card.get("config", {}).get(part, {})
+        given = {name: value for name, value in cfg[part].items() if value is not None}
+        known = {name: trained[name] for name in cfg[part] if name in trained}
+        cfg[part] = {**known, **given}
+    missing = {"scene", "robot", "goal_radius", "max_episode_steps"} - set(cfg.env)
+    if missing:
+        raise ValueError(
+            f"the card of {cfg.policy} does not say what it was trained in: give "
+            + ", ".join(f"env.{name}" for name in sorted(missing))
+            + "."
+        )
+    cfg.evaluation = {"scene": cfg.env.scene, **cfg.evaluation}
+    return cfg
+
+
+def load_start(cfg: DictConfig, task: Task) -> tuple[TensorDictSequential, dict[str, Any]]:
+    """The policy to start from, frozen, and its card.
+
+    Raises:
+        ValueError: if it has other objectives than the task, or observes something else.
+    """
+    start, space, card = load_policy(cfg.policy, device=task.device)
+    if space != task.space:
+        raise ValueError(
+            f"{cfg.policy} has the objectives {space.objectives}, the task {task.space.objectives}: "
+            "demonstrations.reward_model must name the reward model that the policy was trained "
+            "with, if there was one."
+        )
+    size = start[0].module[0].in_features - space.num_tunable
+    if size != observation_size(cfg.env):
+        raise ValueError(
+            f"{cfg.policy} observes {size} entries, here there are {observation_size(cfg.env)}: leave "
+            "env.observe_human and env.observe_human_velocity as they are."
+        )
+    return start, card
+
+
+def make_policy(
+    actor: TensorDictSequential, sigma: Tensor
+) -> tuple[ProbabilisticTensorDictSequential, TensorDictSequential]:
+    """A normal variable around the action of an actor, with its own layers.
+
+    Noise on the action and not before its tanh: where the tanh saturates, steps that hardly change
+    the action would count as large ones.
+
+    Args:
+        actor: writes ``action`` in [-1, 1].
+        sigma: standard deviation of each entry, in units of half its range, ``[A]``.
+
+    Returns:
+        The probabilistic part, which writes ``noisy_action``, and the same followed by the bounds,
+        which writes ``action``.
+    """
+    noisy = ProbabilisticTensorDictSequential(
+        actor,
+        TensorDictModule(sigma.expand_as, in_keys=["action"], out_keys=["scale"]),
+        ProbabilisticTensorDictModule(
+            in_keys={"loc": "action", "scale": "scale"},
+            out_keys=["noisy_action"],
+            distribution_class=IndependentNormal,
+            return_log_prob=True,
+        ),
+    )
+    bounds = TensorDictModule(
+        partial(torch.clamp, min=-1.0, max=1.0), in_keys=["noisy_action"], out_keys=["action"]
+    )
+    return noisy, TensorDictSequential(noisy, bounds)
+
+
+def make_critic(cfg: DictConfig, task: Task) -> TensorDictModule:
+    """One state value per objective; as in PD-MORL what is left of the value of straight driving."""
+    critic = make_vector_critic(
+        task.space.num_objectives,
+        in_features=observation_size(cfg.env) + task.space.num_tunable,
+        in_keys=("observation", "preference"),
+        num_cells=cfg.network.num_cells,
+        layer_norm=cfg.network.critic_layer_norm,
+        out_key="state_value",
+        device=task.device,
+    )
+    value = pd_morl.make_straight_drive_value(cfg, task.space)
+    return pd_morl.add_straight_drive(critic, value, ["observation"])
+
+
+def make_advantage(cfg: DictConfig, task: Task, critic: TensorDictModule) -> MultiObjectiveGAE:
+    gae = MultiObjectiveGAE(
+        gamma=cfg.loss.gamma,
+        lmbda=cfg.loss.lmbda,
+        value_network=critic,
+        preference_space=task.space,
+        deactivate_vmap=True,  # two calls are faster than one of twice the size
+        device=task.device,
+    )
+    if cfg.loss.truncation_is_terminal:
+        gae.set_keys(terminated="done")
+    return gae
+
+
+def make_loss(
+    cfg: DictConfig, policy: ProbabilisticTensorDictSequential, critic: TensorDictModule
+) -> ClipPPOLoss:
+    loss = ClipPPOLoss(
+        policy,
+        critic,
+        clip_epsilon=cfg.loss.clip_epsilon,
+        entropy_bonus=False,  # the standard deviation is fixed, and so is the entropy
+        loss_critic_type="l2",
+        normalize_advantage=True,
+    )
+    loss.set_keys(action="noisy_action", sample_log_prob="noisy_action_log_prob")
+    return loss
+
+
+def anchor(
+    batch: TensorDictBase,
+    actor: TensorDictSequential,
+    start: TensorDictSequential,
+    *,
+    sigma: Tensor,
+    objective: int,
+) -> Tensor:
+    """How far a policy has gone from the one it started as, in nats, where an objective matters.
+
+    A mean, weighed by the square of the weight of the objective: it holds a corner of the preferences
+    and leaves the middle free.
+
+    Args:
+        batch: of transitions.
+        actor: the mean of the policy.
+        start: what it was.
+
+    Keyword Args:
+        sigma: standard deviations of both, see :func:`make_policy`.
+        objective: the place of the weight in the preference.
+    """
+    states = batch.select(*start.in_keys)
+    way = actor(states.copy())["action"] - start(states.copy())["action"]
+    divergence = (way / sigma).square().sum(-1) / 2
+    return (batch["preference"][..., objective].square() * divergence).mean()
+
+
+def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
+    """Gives out one batch of frames, shuffled, in small batches."""
+    return TensorDictReplayBuffer(
+        storage=LazyTensorStorage(cfg.collector.frames_per_batch, device=task.device),
+        sampler=SamplerWithoutReplacement(drop_last=True),
+        batch_size=cfg.optim.batch_size,
+    )
+
+
+def make_optimizers(
+    cfg: DictConfig, loss: ClipPPOLoss
+) -> tuple[dict[str, torch.optim.Optimizer], dict[str, torch.optim.lr_scheduler.LRScheduler]]:
+    """Adam for each network; the actor's rate falls linearly to a twentieth over the training."""
+    optimizers = {
+        "actor": torch.optim.Adam(
+            loss.actor_network_params.flatten_keys().values(), lr=cfg.optim.lr, fused=True
+        ),
+        "critic": torch.optim.Adam(
+            loss.critic_network_params.flatten_keys().values(), lr=cfg.optim.critic_lr, fused=True
+        ),
+    }
+    batches = -(-cfg.collector.total_frames // cfg.collector.frames_per_batch)
+    decay = torch.optim.lr_scheduler.LinearLR(
+        optimizers["actor"],
+        start_factor=1.0,
+        end_factor=0.05,
+        total_iters=max(1, batches - cfg.optim.critic_batches),
+    )
+    return optimizers, {"actor_schedule": decay}
+
+
+def save(
+    task: Task,
+    cfg: DictConfig,
+    frames: int,
+    actor: TensorDictSequential,
+    result: Evaluation,
+    card: dict[str, Any],
+) -> None:
+    """Save a policy whose card also tells how the policy was trained that it started as."""
+    files.save_training_policy(
+        task.run_dir / "policies" / f"{frames:09d}",
+        cfg,
+        actor,
+        task.space,
+        result,
+        task.demo_card,
+        num_cells=tuple(m.out_features for m in actor[0].module if isinstance(m, nn.Linear))[:-1],
+        start={name: card[name] for name in ("config", "start") if name in card},
+    )

@@ -1,0 +1,258 @@
+"""MO-PPO: a short run, its likelihoods and its anchor by hand, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+from omegaconf import DictConfig
+from tensordict import TensorDict
+from torchrl.data import Bounded
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from envs import NavigationEnv
+from envs.policy_env import OBSERVATION_SIZE
+from recipes.mo_ppo import mo_ppo, utils
+from torchrl_morl import PreferenceSpace
+from torchrl_morl.deploy import load_policy, save_policy
+from torchrl_morl.modules import make_actor, make_vector_critic
+from torchrl_morl.objectives import MultiObjectiveGAE
+
+SPACE = PreferenceSpace(NavigationEnv.objectives, static={"core": 1.0})
+SHIPPED = Path(mo_ppo.__file__).parents[1] / "policies" / "navigation"
+CONFIG = {
+    "seed": 7,
+    "env": {
+        "scene": "exploring",
+        "robot": "turtlebot2",
+        "goal_radius": 0.3,
+        "max_episode_steps": 20,
+        "num_envs": 24,
+    },
+    "evaluation": {"scene": "static", "episodes": 50},
+}
+TINY = (
+    "env.num_envs=4",
+    "collector.frames_per_batch=32",
+    "collector.total_frames=128",
+    "optim.batch_size=16",
+    "optim.critic_batches=1",
+    "network.num_cells=[16,16]",
+    "evaluation.interval=64",
+    "evaluation.episodes=2",
+    "logger.backends=[csv]",
+)
+
+
+def small_policy(folder: Path) -> Path:
+    torch.manual_seed(0)
+    spec = Bounded(-1.0, 1.0, (2,))
+    actor = make_actor(spec, in_features=OBSERVATION_SIZE + 2, num_cells=(8,), last_layer_gain=1.0)
+    return save_policy(
+        folder,
+        actor,
+        space=SPACE,
+        observation_size=OBSERVATION_SIZE,
+        action_size=2,
+        num_cells=(8,),
+        card={"config": CONFIG},
+    )
+
+
+def run(folder: Path, policy: Path, *overrides: str) -> Path:
+    arguments = ["mo_ppo.py", f"policy={policy}", *TINY, *overrides, f"hydra.run.dir={folder}"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HYDRA_FULL_ERROR", "1")
+        patch.setattr(sys, "argv", arguments)
+        mo_ppo.main()
+    return folder
+
+
+def configuration(*overrides: str) -> DictConfig:
+    with initialize_config_module("recipes.mo_ppo", version_base="1.3"):
+        return compose("config", overrides=[*TINY, *overrides])
+
+
+@pytest.fixture(scope="module")
+def polished(tmp_path_factory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("mo_ppo")
+    start = small_policy(folder / "start")
+    return start, run(folder / "run", start)
+
+
+def test_writes_policies_that_load(polished):
+    start, folder = polished
+    saved = sorted((folder / "policies").glob("*"))
+    assert [path.name for path in saved] == ["000000064", "000000128"]
+    actor, space, card = load_policy(saved[-1])
+    assert space == SPACE
+    assert card["start"]["config"] == CONFIG
+    assert card["config"]["loss"]["lmbda"] == 0.9
+    # What was null is what the policy was trained in.
+    assert card["config"]["env"] == CONFIG["env"] | {"num_envs": 4, "num_threads": 1}
+    assert card["config"]["evaluation"]["scene"] == "static"
+    before, *_ = load_policy(start)
+    assert actor.state_dict().keys() == before.state_dict().keys()
+    assert any(
+        not torch.equal(value, before.state_dict()[name])
+        for name, value in actor.state_dict().items()
+    )
+    assert (folder / "run.json").is_file()
+
+
+def test_same_seed_same_policy(polished, tmp_path):
+    start, folder = polished
+    again = run(tmp_path / "run", start)
+    name = "policies/000000128/policy.safetensors"
+    assert (again / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_critic_learns_first(polished, tmp_path):
+    start, _ = polished
+    folder = run(tmp_path / "run", start, "optim.critic_batches=4")
+    actor, *_ = load_policy(folder / "policies" / "000000128")
+    before, *_ = load_policy(start)
+    for name, value in actor.state_dict().items():
+        assert torch.equal(value, before.state_dict()[name]), name
+
+
+def test_likelihood_and_bounds():
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+    noisy, policy = utils.make_policy(actor, torch.tensor([0.5, 0.25]))
+    data = TensorDict(
+        observation=torch.randn(200, 4), preference=torch.rand(200, 2), batch_size=[200]
+    )
+    with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
+        drawn = policy(data.clone())
+        mean = actor(data.clone())["action"]
+    z = (drawn["noisy_action"] - mean) / torch.tensor([0.5, 0.25])
+    expected = -0.5 * z.square().sum(-1) - math.log(0.5) - math.log(0.25) - math.log(2 * math.pi)
+    torch.testing.assert_close(drawn["noisy_action_log_prob"], expected)
+    torch.testing.assert_close(drawn["action"], drawn["noisy_action"].clamp(-1, 1))
+    assert (drawn["noisy_action"].abs() > 1).any()
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        torch.testing.assert_close(noisy(data.clone())["noisy_action"], mean)
+
+
+def test_anchor_by_hand():
+    def policy(turn: float):
+        actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+        with torch.no_grad():
+            actor[0].module[-1].weight.zero_()
+            actor[0].module[-1].bias.copy_(torch.tensor([0.0, turn]).atanh())
+        return actor
+
+    batch = TensorDict(
+        observation=torch.randn(2, 4),
+        preference=torch.tensor([[1.0, 0.0], [0.5, 0.5]]),
+        batch_size=[2],
+    )
+    # 0.2 apart, a standard deviation of 0.1: 2 nats, weighed by (1 + 1/4) / 2.
+    distance = utils.anchor(
+        batch, policy(0.3), policy(0.1), sigma=torch.tensor([0.5, 0.1]), objective=0
+    )
+    torch.testing.assert_close(distance, torch.tensor(1.25))
+    assert "action" not in batch.keys()
+
+
+def test_gradients_go_where_they_belong():
+    torch.manual_seed(0)
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+    noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+    critic = make_vector_critic(
+        3,
+        in_features=4 + 2,
+        in_keys=("observation", "preference"),
+        num_cells=(8,),
+        out_key="state_value",
+    )
+    loss = utils.make_loss(configuration(), noisy, critic)
+    data = TensorDict(
+        observation=torch.randn(6, 8, 4),
+        preference=torch.tensor([0.5, 0.5]).expand(6, 8, 2),
+        next=TensorDict(
+            observation=torch.randn(6, 8, 4),
+            preference=torch.tensor([0.5, 0.5]).expand(6, 8, 2),
+            reward=torch.randn(6, 8, 3),
+            done=torch.zeros(6, 8, 1, dtype=torch.bool),
+            terminated=torch.zeros(6, 8, 1, dtype=torch.bool),
+            batch_size=[6, 8],
+        ),
+        batch_size=[6, 8],
+    )
+    with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
+        policy(data)
+    MultiObjectiveGAE(gamma=0.9, lmbda=0.8, value_network=critic, preference_space=SPACE)(data)
+    batch = data.reshape(-1).select(*utils.BATCH)
+    losses = loss(batch)
+
+    def trained(value: torch.Tensor) -> set[str]:
+        loss.zero_grad()
+        value.backward(retain_graph=True)
+        return {
+            name.split("_network")[0]
+            for name, parameter in loss.named_parameters()
+            if parameter.grad is not None and parameter.grad.any()
+        }
+
+    assert trained(losses["loss_objective"]) == {"actor"}
+    assert trained(losses["loss_critic"]) == {"critic"}
+    start = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+    assert trained(
+        utils.anchor(batch, actor, start, sigma=torch.tensor([0.5, 0.1]), objective=0)
+    ) == {"actor"}
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("optim.batch_size=64", "optim.batch_size must lie between"),
+        ("collector.exploration_sigma=[0.05,0]", "exploration_sigma must be positive"),
+        ("loss.anchor_coeff=-1", "anchor_coeff must not be negative"),
+        ("loss.gamma=1.5", "loss.gamma must be in"),
+        ("optim.batch_size=0", "optim.batch_size must lie between"),
+        ("env.observe_human=false", "observes 36 entries, here there are 33"),
+        ("policy=nowhere", "nowhere"),
+    ],
+)
+def test_refuses_bad_configurations(polished, tmp_path, override, message):
+    start, _ = polished
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        run(tmp_path / "run", start, override)
+    assert not (tmp_path / "run" / "policies").exists()
+
+
+def test_refuses_a_policy_of_other_objectives(tmp_path):
+    with pytest.raises(ValueError, match=r"demonstrations\.reward_model must name"):
+        run(tmp_path / "run", SHIPPED)
+
+
+def test_asks_for_what_the_card_does_not_tell(polished, tmp_path):
+    start, _ = polished
+    actor, space, card = load_policy(start)
+    del card["config"]["env"]["scene"], card["config"]["evaluation"]
+    policy = save_policy(
+        tmp_path / "policy",
+        actor,
+        space=space,
+        observation_size=OBSERVATION_SIZE,
+        action_size=2,
+        num_cells=(8,),
+        card=card,
+    )
+    with pytest.raises(ValueError, match=r"does not say what it was trained in: give env\.scene\."):
+        run(tmp_path / "run", policy)
+    folder = run(tmp_path / "again", policy, "env.scene=corridor")
+    *_, card = load_policy(folder / "policies" / "000000128")
+    assert card["config"]["evaluation"]["scene"] == "corridor"
+
+
+def test_card_is_json(polished):
+    _, folder = polished
+    card = json.loads((folder / "policies/000000064/policy.json").read_text())["card"]
+    assert card["score"] == pytest.approx(card["score"])
