@@ -152,11 +152,11 @@ def test_anchor_by_hand():
         preference=torch.tensor([[1.0, 0.0], [0.5, 0.5]]),
         batch_size=[2],
     )
-    # 0.2 apart, a standard deviation of 0.1: 2 nats, weighed by (1 + 1/4) / 2.
+    # 0.2 apart, a standard deviation of 0.1: 2 nats, weighed by (1 + 1/8) / 2.
     distance = utils.anchor(
         batch, policy(0.3), policy(0.1), sigma=torch.tensor([0.5, 0.1]), objective=0
     )
-    torch.testing.assert_close(distance, torch.tensor(1.25))
+    torch.testing.assert_close(distance, torch.tensor(1.125))
     assert "action" not in batch.keys()
 
 

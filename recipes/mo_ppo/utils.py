@@ -192,7 +192,7 @@ def anchor(
 ) -> Tensor:
     """How far a policy has gone from the one it started as, in nats, where an objective matters.
 
-    A mean, weighed by the square of the weight of the objective: it holds a corner of the preferences
+    A mean, weighed by the cube of the weight of the objective: it holds a corner of the preferences
     and leaves the middle free.
 
     Args:
@@ -207,7 +207,7 @@ def anchor(
     states = batch.select(*start.in_keys)
     way = actor(states.copy())["action"] - start(states.copy())["action"]
     divergence = (way / sigma).square().sum(-1) / 2
-    return (batch["preference"][..., objective].square() * divergence).mean()
+    return (batch["preference"][..., objective] ** 3 * divergence).mean()
 
 
 def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
