@@ -63,7 +63,9 @@ class MultiObjectiveGAE(GAE):
         >>> from tensordict import TensorDict
         >>> from torchrl_morl.preferences import PreferenceSpace
         >>> space = PreferenceSpace(("core", "distance", "efficiency"), static={"core": 1.0})
-        >>> gae = MultiObjectiveGAE(gamma=0.5, lmbda=1.0, value_network=None, preference_space=space)
+        >>> gae = MultiObjectiveGAE(
+        ...     gamma=0.5, lmbda=1.0, value_network=None, preference_space=space
+        ... )
         >>> end = torch.tensor([[[False], [True]]])
         >>> data = TensorDict(
         ...     preference=torch.tensor([[[0.25, 0.75], [0.25, 0.75]]]),
