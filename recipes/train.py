@@ -1,4 +1,4 @@
-"""Train the shipped policy from nothing: demonstrations, D-REX, PD-MORL, MO-PPO, evaluation.
+"""Train a policy from nothing as the shipped one: demonstrations, D-REX, PD-MORL, MO-PPO, evaluation.
 
 ``make train`` runs this. Every stage is a recipe of its own; options are passed on to them::
 
