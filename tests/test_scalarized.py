@@ -22,6 +22,7 @@ from envs.policy_env import OBSERVATION_SIZE, make_policy_env
 from recipes.scalarized import sac, td3, utils
 from recipes.sweep import sweep
 from recipes.task import Task
+from tests._command import run_here
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_reward_model
 from torchrl_morl.modules import RewardModel
@@ -46,12 +47,7 @@ TINY = (
 
 
 def train(script: str, folder: Path, *overrides: str) -> Path:
-    """Runs a script in this process, which has paid for its imports."""
-    arguments = [f"{script}.py", *TINY, *overrides, f"hydra.run.dir={folder}"]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("HYDRA_FULL_ERROR", "1")
-        patch.setattr(sys, "argv", arguments)
-        SCRIPTS[script].main()
+    run_here(SCRIPTS[script].main, *TINY, *overrides, f"hydra.run.dir={folder}")
     return folder
 
 

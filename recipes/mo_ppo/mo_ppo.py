@@ -24,6 +24,7 @@ from torchrl.envs import RewardScaling
 from recipes.pd_morl import evaluation, files
 from recipes.pd_morl.utils import crossed, log_metrics, make_loggers, step
 from recipes.task import make_averaged, make_task
+from torchrl_morl.deploy import load_policy
 
 from . import utils
 
@@ -31,10 +32,11 @@ from . import utils
 @hydra.main(version_base="1.3", config_path="", config_name="config")
 def main(cfg: DictConfig) -> None:
     """Polish a policy, evaluate it on the way, and save what is evaluated."""
-    cfg = utils.complete(cfg)
+    start, space, card = load_policy(cfg.policy, device=cfg.device)
+    cfg = utils.complete(cfg, card)
     utils.check(cfg)
     task = make_task(cfg)
-    start, card = utils.load_start(cfg, task)
+    utils.check_start(cfg, task, start, space)
 
     # The policy is noise around the actor; the noise is all that PPO adds to it.
     actor = copy.deepcopy(start).requires_grad_(True)
@@ -74,6 +76,7 @@ def main(cfg: DictConfig) -> None:
         # Advantages of every objective, weighed by the preference of the episode.
         with timeit("advantage"):
             advantage(data)
+            data["start_action"] = start(data.select(*start.in_keys))["action"]
         replay_buffer.empty()
         replay_buffer.extend(data.reshape(-1).select(*utils.BATCH))
 
@@ -90,7 +93,7 @@ def main(cfg: DictConfig) -> None:
                         if demo is not None:
                             # The demonstrated style is a learned reward: see config.yaml.
                             metrics["anchor"] = utils.anchor(
-                                batch, actor, start, sigma=sigma, objective=demo
+                                batch, actor, sigma=sigma, objective=demo
                             )
                             loss_actor = loss_actor + cfg.loss.anchor_coeff * metrics["anchor"]
                         step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)

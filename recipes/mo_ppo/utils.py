@@ -24,9 +24,9 @@ from recipes.pd_morl import files
 from recipes.pd_morl import utils as pd_morl
 from recipes.pd_morl.evaluation import Evaluation
 from recipes.task import Task
-from torchrl_morl.deploy import load_policy
 from torchrl_morl.modules import make_vector_critic
 from torchrl_morl.objectives import MultiObjectiveGAE
+from torchrl_morl.preferences import PreferenceSpace
 
 BATCH = (
     "observation",
@@ -35,6 +35,7 @@ BATCH = (
     "noisy_action_log_prob",
     "advantage",
     "value_target",
+    "start_action",
 )
 """What an update reads of a transition."""
 
@@ -45,6 +46,11 @@ def check(cfg: DictConfig) -> None:
     Raises:
         ValueError: for a batch size, a noise or a coefficient that means nothing.
     """
+    if cfg.collector.frames_per_batch % cfg.env.num_envs:
+        raise ValueError(
+            "collector.frames_per_batch must be a multiple of env.num_envs, "
+            f"{cfg.env.num_envs}, got {cfg.collector.frames_per_batch}."
+        )
     if not 0 < cfg.optim.batch_size <= cfg.collector.frames_per_batch:
         raise ValueError(
             "optim.batch_size must lie between 1 and collector.frames_per_batch, "
@@ -60,13 +66,16 @@ def check(cfg: DictConfig) -> None:
         raise ValueError(f"loss.anchor_coeff must not be negative, got {cfg.loss.anchor_coeff}.")
 
 
-def complete(cfg: DictConfig) -> DictConfig:
+def complete(cfg: DictConfig, card: dict[str, Any]) -> DictConfig:
     """The configuration with what is null in ``env`` and ``evaluation`` taken from the policy's card.
+
+    Args:
+        cfg: as given.
+        card: of the policy.
 
     Raises:
         ValueError: if the card does not tell.
     """
-    _, _, card = load_policy(cfg.policy)
     cfg = cfg.copy()
     for part in ("env", "evaluation"):
         trained = card.get("config", {}).get(part, {})
@@ -84,26 +93,21 @@ def complete(cfg: DictConfig) -> DictConfig:
     return cfg
 
 
-def load_start(cfg: DictConfig, task: Task) -> tuple[TensorDictSequential, dict[str, Any]]:
-    """The policy to start from, frozen, and its card.
+def check_start(
+    cfg: DictConfig, task: Task, start: TensorDictSequential, space: PreferenceSpace
+) -> None:
+    """Refuse a policy that does not fit the task.
 
     Raises:
-        ValueError: if it has other objectives than the task, or observes something else.
+        ValueError: if it has other objectives, or observes something else.
     """
-    start, space, card = load_policy(cfg.policy, device=task.device)
     if space != task.space:
         raise ValueError(
             f"{cfg.policy} has the objectives {space.objectives}, the task {task.space.objectives}: "
             "demonstrations.reward_model must name the reward model that the policy was trained "
             "with, if there was one."
         )
-    size = start[0].module[0].in_features - space.num_tunable
-    if size != observation_size(cfg.env):
-        raise ValueError(
-            f"{cfg.policy} observes {size} entries, here there are {observation_size(cfg.env)}: leave "
-            "env.observe_human and env.observe_human_velocity as they are."
-        )
-    return start, card
+    pd_morl.check_observation(cfg, cfg.policy, start[0].module[0].in_features - space.num_tunable)
 
 
 def make_policy(
@@ -159,7 +163,7 @@ def make_advantage(cfg: DictConfig, task: Task, critic: TensorDictModule) -> Mul
         lmbda=cfg.loss.lmbda,
         value_network=critic,
         preference_space=task.space,
-        deactivate_vmap=True,  # two calls are faster than one of twice the size
+        deactivate_vmap=True,
         device=task.device,
     )
     if cfg.loss.truncation_is_terminal:
@@ -183,12 +187,7 @@ def make_loss(
 
 
 def anchor(
-    batch: TensorDictBase,
-    actor: TensorDictSequential,
-    start: TensorDictSequential,
-    *,
-    sigma: Tensor,
-    objective: int,
+    batch: TensorDictBase, actor: TensorDictSequential, *, sigma: Tensor, objective: int
 ) -> Tensor:
     """How far a policy has gone from the one it started as, in nats, where an objective matters.
 
@@ -196,16 +195,14 @@ def anchor(
     and leaves the middle free.
 
     Args:
-        batch: of transitions.
+        batch: of transitions, with the ``start_action`` of the policy at the start.
         actor: the mean of the policy.
-        start: what it was.
 
     Keyword Args:
         sigma: standard deviations of both, see :func:`make_policy`.
         objective: the place of the weight in the preference.
     """
-    states = batch.select(*start.in_keys)
-    way = actor(states.copy())["action"] - start(states.copy())["action"]
+    way = actor(batch.select(*actor.in_keys))["action"] - batch["start_action"]
     divergence = (way / sigma).square().sum(-1) / 2
     return (batch["preference"][..., objective] ** 3 * divergence).mean()
 
