@@ -18,8 +18,8 @@ from envs.policy_env import OBSERVATION_SIZE
 from recipes.mo_ppo import mo_ppo, utils
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
-from torchrl_morl.deploy import load_policy, save_policy
-from torchrl_morl.modules import make_actor, make_vector_critic
+from torchrl_morl.deploy import load_policy, save_policy, save_reward_model
+from torchrl_morl.modules import RewardModel, make_actor, make_vector_critic
 from torchrl_morl.objectives import MultiObjectiveGAE
 
 SPACE = PreferenceSpace(NavigationEnv.objectives, static={"core": 1.0})
@@ -51,14 +51,15 @@ TINY = (
 )
 
 
-def small_policy(folder: Path) -> Path:
+def small_policy(folder: Path, space: PreferenceSpace = SPACE) -> Path:
     torch.manual_seed(0)
     spec = Bounded(-1.0, 1.0, (2,))
-    actor = make_actor(spec, in_features=OBSERVATION_SIZE + 2, num_cells=(8,), last_layer_gain=1.0)
+    size = OBSERVATION_SIZE + space.num_tunable
+    actor = make_actor(spec, in_features=size, num_cells=(8,), last_layer_gain=1.0)
     return save_policy(
         folder,
         actor,
-        space=SPACE,
+        space=space,
         observation_size=OBSERVATION_SIZE,
         action_size=2,
         num_cells=(8,),
@@ -117,6 +118,28 @@ def test_critic_learns_first(polished, tmp_path):
     before, *_ = load_policy(start)
     for name, value in actor.state_dict().items():
         assert torch.equal(value, before.state_dict()[name]), name
+
+
+def test_anchor_holds_a_policy_with_demonstrations(tmp_path):
+    objectives = ("core", "demo", *SPACE.tunable)
+    start = small_policy(tmp_path / "start", PreferenceSpace(objectives, static={"core": 1.0}))
+    size = OBSERVATION_SIZE + 2
+    torch.manual_seed(0)
+    model = RewardModel(in_features=size, num_cells=(8,), num_members=1)
+    sizes = {"in_features": size, "num_cells": (8,), "num_members": 1}
+    save_reward_model(tmp_path / "model", model, **sizes, card={})
+    moved = []
+    for coefficient in (0.0, 1e6):
+        folder = run(
+            tmp_path / str(coefficient),
+            start,
+            f"demonstrations.reward_model={tmp_path / 'model'}",
+            f"loss.anchor_coeff={coefficient}",
+            *("optim.lr=1e-2", "collector.total_frames=320", "evaluation.interval=320"),
+        )
+        rows = (folder / "log_csv/scalars/train/anchor.csv").read_text().split()
+        moved.append(float(rows[-1].split(",")[-1]))
+    assert 0 < moved[1] < moved[0] / 2, moved
 
 
 def test_likelihood_and_bounds():
