@@ -122,8 +122,8 @@ class BatchLoop:
         self.batch.step(nstep=FRAME_SKIP)
         position, cos, sin = self.qpos[:, :2], np.cos(self.qpos[:, 2]), np.sin(self.qpos[:, 2])
         self.task.locate(position)
-        obstacles = self.task.ahead_and_left(cos, sin)[:, 1:]
-        self.lidar.cast(position, cos, sin, obstacles, self.task.radius)
+        seen = self.task.ahead_and_left(cos, sin)
+        self.lidar.cast(seen, cos, sin, self.task.boxes, self.task.radius)
 
     def close(self) -> None:
         pass

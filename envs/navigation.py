@@ -129,6 +129,12 @@ class NavigationEnv(BatchedMujocoEnv):
             camera=camera,
             **kwargs,
         )
+        self._lidar = Lidar(
+            self.robot,
+            num_rays=num_rays,
+            max_range=max_range,
+            dtype=np.float64 if self._has_range_faults else self._array_dtype,
+        )
 
     # --- model and specs -----------------------------------------------------------------------
 
@@ -140,7 +146,6 @@ class NavigationEnv(BatchedMujocoEnv):
             goal_radius=self.goal_radius,
         )
         model = mujoco.MjModel.from_xml_string(xml)
-        self._robot_body = model.body("robot").id
         self._mocap_human = int(model.body("human").mocapid[0])
         self._mocap_goal = int(model.body("goal").mocapid[0])
         boxes = [f"box{i}" for i in range(self.scene.num_boxes)]
@@ -151,14 +156,6 @@ class NavigationEnv(BatchedMujocoEnv):
     def _open_batch(self) -> None:
         super()._open_batch()
         self._box_sizes = self.batch.expand("geom_size") if self._box_geoms else None
-        self._lidar = Lidar(
-            self.batch,
-            self.robot,
-            body=self._robot_body,
-            num_rays=self.num_rays,
-            max_range=self.max_range,
-            dtype=np.float64 if self._has_range_faults else self._array_dtype,
-        )
 
     @property
     def _has_range_faults(self) -> bool:
@@ -166,8 +163,7 @@ class NavigationEnv(BatchedMujocoEnv):
 
     def __getstate__(self) -> dict[str, Any]:
         state = super().__getstate__()
-        for name in ("_box_sizes", "_lidar"):
-            state.pop(name)
+        state.pop("_box_sizes")
         return state
 
     def _make_action_spec(self) -> Bounded:
@@ -338,7 +334,7 @@ class NavigationEnv(BatchedMujocoEnv):
         goal, human = (torch.from_numpy(values).to(self.dtype) for values in polar)
         flags = task.flags[rows].copy()
         out = {
-            "scan": self._scan(pose, cos, sin, seen[:, 1:], ids),
+            "scan": self._scan(seen, cos, sin, ids),
             "goal": goal,
             "human": human,
             "success": torch.from_numpy(flags[:, 0:1]),
@@ -360,15 +356,10 @@ class NavigationEnv(BatchedMujocoEnv):
         return out
 
     def _scan(
-        self,
-        pose: np.ndarray,
-        cos: np.ndarray,
-        sin: np.ndarray,
-        obstacles: np.ndarray,
-        ids: np.ndarray | None,
+        self, seen: np.ndarray, cos: np.ndarray, sin: np.ndarray, ids: np.ndarray | None
     ) -> Tensor:
-        radius = self._task.radius if ids is None else self._task.radius[:, ids]
-        ranges = self._lidar.cast(pose[:, :2], cos, sin, obstacles, radius, ids)
+        task = self._task
+        ranges = self._lidar.cast(seen, cos, sin, task.boxes, task.radius, ids)
         if self._has_range_faults:
             amounts = self._faults if ids is None else self._faults[ids]
             ranges = self.perturbation.disturb_ranges(

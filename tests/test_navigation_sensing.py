@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from envs import HUMAN_RADIUS
+from envs.lidar import _compiled
 from envs.mjcf import LIDAR_HEIGHT
 from tests._navigation import F64, make_env, place
 
@@ -88,8 +89,8 @@ def test_the_lidar_against_analytic_intersections(scene, robot, drive):
     assert hits > 1_000
 
 
-def _every_ray(env, pose: np.ndarray) -> np.ndarray:
-    """The scan of robots at ``pose`` [N, 3] if no ray is left out."""
+def _mujoco_scan(env, pose: np.ndarray) -> np.ndarray:
+    """The scan of robots at ``pose`` [N, 3] by MuJoCo, every ray cast."""
     forward = np.stack((np.cos(pose[:, 2]), np.sin(pose[:, 2]), np.zeros(len(pose))), axis=-1)
     origin = np.array([0, 0, LIDAR_HEIGHT]) + pose * (1, 1, 0) + env.robot.lidar_offset * forward
     relative = 2 * math.pi * np.arange(env.num_rays) / env.num_rays
@@ -109,7 +110,7 @@ def _every_ray(env, pose: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("robot", ["turtlebot2", "hsr"])
 @pytest.mark.parametrize("scene", ["static", "corridor", "empty"])
 @pytest.mark.parametrize("num_rays", [720, 101, 4])
-def test_rays_that_are_not_cast_would_meet_nothing(num_rays, scene, robot):
+def test_the_lidar_against_mujoco(num_rays, scene, robot):
     env = make_env(num_envs=40, scene=scene, robot=robot, num_rays=num_rays)
     generator = np.random.default_rng(0)
     for _ in range(5):
@@ -123,12 +124,21 @@ def test_rays_that_are_not_cast_would_meet_nothing(num_rays, scene, robot):
         pose[:, 2] = generator.uniform(-math.pi, math.pi, 40)
         start["qpos"] = torch.from_numpy(pose)
         seen = env.reset(start, set_state=True)
-        expected = _every_ray(env, seen["pose"].numpy())
+        expected = _mujoco_scan(env, seen["pose"].numpy())
         np.testing.assert_allclose(seen["scan"].numpy(), expected, rtol=0, atol=1e-9)
-        # Some of the environments only, other calls.
+        # Some of the environments only.
         mask = torch.from_numpy(generator.random((40, 1)) < 0.2)
         again = env.reset(seen.clone().set("_reset", mask), set_state=True)
         torch.testing.assert_close(again["scan"], seen["scan"], rtol=0, atol=0)
+
+
+def test_functions_compile_where_the_result_cannot_be_kept_on_disk():
+    # Of no file, and so refused by the cache as on a read-only system without a home.
+    namespace = {}
+    exec("def double(x): return 2 * x", namespace)
+    double = _compiled(namespace["double"])
+    assert double(3.0) == 6.0
+    assert double.signatures
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, -2.5])
