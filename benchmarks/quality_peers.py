@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import random
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -17,10 +18,13 @@ import mo_gymnasium
 import numpy as np
 import torch
 from tensordict.nn import TensorDictModule
-from torch import Tensor
+from torch import Tensor, nn
+from torchrl.data import Bounded
 
 import envs.gym
 from recipes.pd_morl import utils
+from torchrl_morl.deploy import save_policy
+from torchrl_morl.modules import RewardModel, make_actor
 from torchrl_morl.preferences import PreferenceSpace
 
 from .peers_morl_baselines import CELLS, algorithm
@@ -53,11 +57,15 @@ class Watched(gymnasium.Wrapper):
 
 
 def make_env(
-    seed: int, scale: float, after_step: Callable[[int], None] = lambda steps: None
+    seed: int,
+    scale: float,
+    after_step: Callable[[int], None] = lambda steps: None,
+    reward_model: RewardModel | None = None,
 ) -> gymnasium.Env:
     spec = next(name for name in gymnasium.registry if name.endswith("/Navigation-v0"))
     assert envs.gym.__name__  # which registers it
-    env = gymnasium.wrappers.RescaleAction(mo_gymnasium.make(spec), -1.0, 1.0)
+    env = mo_gymnasium.make(spec, reward_model=reward_model)
+    env = gymnasium.wrappers.RescaleAction(env, -1.0, 1.0)
     env.reset(seed=seed)
     env.action_space.seed(seed)
     return Watched(env, scale, after_step)
@@ -72,8 +80,8 @@ def simplex_weights(space: PreferenceSpace, preference: Tensor) -> Tensor:
 class _OurWeights:
     """In place of CAPQL's cone around equal weights: the weights that the evaluation asks for."""
 
-    def __init__(self, *_: Any) -> None:
-        self.space = utils.make_preference_space(with_demonstrations=False)
+    def __init__(self, num_objectives: int, *_: Any) -> None:
+        self.space = utils.make_preference_space(with_demonstrations=num_objectives == 4)
 
     def sample(self, number: int) -> Tensor:
         return simplex_weights(self.space, self.space.sample(number))
@@ -96,7 +104,8 @@ class Peer:
         np.random.seed(seed)
         torch.manual_seed(seed)
         self.name, self.env = name, env
-        self.space = utils.make_preference_space(with_demonstrations=False)
+        with_demonstrations = "demo" in env.unwrapped.objectives
+        self.space = utils.make_preference_space(with_demonstrations=with_demonstrations)
         options = {
             "net_arch": CELLS,
             "batch_size": BATCH_SIZE,
@@ -125,6 +134,41 @@ class Peer:
             return self._act(observation, simplex_weights(self.space, preference))
 
         return TensorDictModule(act, in_keys=["observation", "preference"], out_keys=["action"])
+
+    def save(self, folder: Path, card: dict[str, Any]) -> None:
+        """As a policy of ours, which ``recipes.results.evaluate`` takes.
+
+        Raises:
+            ValueError: for GPI-LS, whose actor has another form.
+        """
+        if self.name == "gpi-ls":
+            raise ValueError("Only the actors of CAPQL can be saved, not those of gpi-ls.")
+        observation_size = self.env.observation_space.shape[0]
+        actor = make_actor(
+            Bounded(-1.0, 1.0, (2,)),
+            in_features=observation_size + self.space.num_tunable,
+            num_cells=CELLS,
+        )
+        layers = [layer for layer in actor.modules() if isinstance(layer, nn.Linear)]
+        policy = self.agent.policy
+        theirs = [layer for layer in policy.latent_pi if isinstance(layer, nn.Linear)]
+        with torch.no_grad():
+            for ours, layer in zip(layers[1:], [*theirs[1:], policy.mean], strict=True):
+                ours.load_state_dict(layer.state_dict())
+            # Their weights are an affine function of our preference, for the first layer to take over.
+            corners = simplex_weights(self.space, torch.eye(self.space.num_tunable))
+            seen, weighed = theirs[0].weight.split((observation_size, corners.shape[-1]), dim=1)
+            layers[0].weight.copy_(torch.cat((seen, weighed @ corners.T), dim=1))
+            layers[0].bias.copy_(theirs[0].bias)
+        save_policy(
+            folder,
+            actor,
+            space=self.space,
+            observation_size=observation_size,
+            action_size=2,
+            num_cells=tuple(CELLS),
+            card=card,
+        )
 
     def train(self, total_steps: int, eval_env: gymnasium.Env) -> None:
         """Until the environment raises :class:`Finished`, or for so many steps."""

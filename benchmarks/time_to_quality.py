@@ -19,6 +19,7 @@ import csv
 import sys
 import tempfile
 import time
+from importlib.metadata import version
 from pathlib import Path
 from unittest import mock
 
@@ -120,9 +121,28 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
     cfg = config(*args.pd_morl)
     torch.set_num_threads(cfg.compute.torch_threads)
     scale = cfg.replay_buffer.reward_scale if args.reward_scale is None else args.reward_scale
-    space = utils.make_preference_space(with_demonstrations=False)
-    eval_env = utils.make_eval_env(cfg, space, None)
+    model, demo_card = utils.load_demonstration_objective(cfg) or (None, None)
+    space = utils.make_preference_space(with_demonstrations=model is not None)
+    eval_env = utils.make_eval_env(cfg, space, model)
+    demonstration = evaluation.demonstrated(cfg, demo_card) if model else None
     due = args.every
+
+    def evaluate(steps: int) -> None:
+        minutes = log.seconds[args.clock == "cpu"] / 60
+        actor = peer.actor.eval()
+        function, arguments = evaluation.evaluate, (cfg, eval_env, actor, space, demonstration)
+        result = log.evaluate(steps, function, *arguments)
+        if args.save is not None:
+            card = {
+                "system": f"MORL-Baselines {version('morl-baselines')} {log.system}",
+                "config": {"seed": log.seed, "gamma": args.gamma, "reward_scale": scale},
+                "steps": steps,
+                "minutes": round(minutes, 1),
+                "evaluation": {"preferences": result.names, **result.columns},
+                "score": result.score,
+                **({"demonstrator": demo_card["demonstrator"]} if demo_card else {}),
+            }
+            peer.save(args.save / f"{steps:09d}", card)
 
     def after_step(steps: int) -> None:
         nonlocal due
@@ -130,15 +150,15 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
         finished = minutes >= args.minutes
         if finished or minutes >= due:
             due += args.every
-            log.evaluate(steps, evaluation.evaluate, cfg, eval_env, peer.actor.eval(), space, None)
+            evaluate(steps)
         if finished:
             raise quality_peers.Finished
 
-    env = quality_peers.make_env(log.seed, scale, after_step)
+    env = quality_peers.make_env(log.seed, scale, after_step, model)
     log.start()
     peer = quality_peers.Peer(log.system, env, seed=log.seed, gamma=args.gamma)
     # GPI-LS itself evaluates, to choose its next weights: that is part of its training.
-    own_eval_env = quality_peers.make_env(log.seed + 1000, scale)
+    own_eval_env = quality_peers.make_env(log.seed + 1000, scale, reward_model=model)
     peer.train(args.max_steps, own_eval_env)
 
 
@@ -229,6 +249,9 @@ def main(arguments: list[str] | None = None) -> None:
     peers.add_argument("--every", type=float, default=3, help="minutes between evaluations")
     peers.add_argument("--gamma", type=float, default=0.99, help="discount (theirs: 0.99)")
     peers.add_argument("--reward-scale", type=float, help="(default: the recipe's)")
+    peers.add_argument(
+        "--save", type=Path, help="folder for the policy of every evaluation, of CAPQL alone"
+    )
     peers.add_argument("--max-steps", type=int, default=10_000_000, help=argparse.SUPPRESS)
     train.add_argument(
         "--pd-morl", nargs="*", default=[], metavar="FIELD=VALUE", help="overrides of its recipe"
@@ -252,6 +275,10 @@ def main(arguments: list[str] | None = None) -> None:
         if args.plot:
             plot(runs, args.plot, args.clock)
         return
+    if args.save is not None and args.system not in PEERS[:2]:
+        parser.error(f"--save is for {' and '.join(PEERS[:2])}, not {args.system}.")
+    if args.save is not None and args.save.exists():
+        parser.error(f"{args.save} exists and is not overwritten: choose another --save.")
     log = Log(args.output or FOLDER / f"{args.system}_{args.seed}.csv", args.system, args.seed)
     if args.system == OURS:
         train_ours(log, args.pd_morl)

@@ -9,12 +9,18 @@ Importing this module registers one id per kind of scene::
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 import torch
+from tensordict import TensorDict
 from torchrl.envs import ActionScaling, Compose, TransformedEnv
+
+from torchrl_morl.deploy import load_reward_model
+from torchrl_morl.modules import RewardModel
+from torchrl_morl.transforms import RewardModelReward
 
 from .navigation import NavigationEnv
 from .policy_env import policy_transforms
@@ -38,6 +44,8 @@ class NavigationGymEnv(gymnasium.Env):
         render_mode: ``"rgb_array"`` or ``None``.
 
     Keyword Args:
+        reward_model: scores demonstration-likeness, a :class:`~torchrl_morl.modules.RewardModel` or the
+            folder of one: it becomes the objective "demo", in second place of the reward.
         camera: what :meth:`render` shows, ``"top"`` or ``"chase"``.
         width: of rendered frames, pixels.
         height: of rendered frames, pixels.
@@ -45,6 +53,7 @@ class NavigationGymEnv(gymnasium.Env):
 
     Raises:
         ValueError: for an unknown ``render_mode``, or from :class:`NavigationEnv`.
+        FileNotFoundError: if the folder holds no reward model.
 
     Examples:
         >>> import mo_gymnasium
@@ -67,6 +76,7 @@ class NavigationGymEnv(gymnasium.Env):
         self,
         render_mode: str | None = None,
         *,
+        reward_model: RewardModel | str | Path | None = None,
         camera: str = "top",
         width: int = 640,
         height: int = 360,
@@ -74,6 +84,8 @@ class NavigationGymEnv(gymnasium.Env):
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ValueError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}.")
+        if isinstance(reward_model, (str, Path)):
+            reward_model, _ = load_reward_model(reward_model)
         # One simulation has no use for a pool of threads, nor Gymnasium for snapshots.
         options = {"num_threads": 1, "snapshots": False, **kwargs}
         self._navigation = NavigationEnv(
@@ -87,6 +99,10 @@ class NavigationGymEnv(gymnasium.Env):
         self._env = TransformedEnv(self._navigation, Compose(*features))
         self.render_mode = render_mode
         self.objectives = self._navigation.objectives
+        self._demo = None
+        if reward_model is not None:
+            self._demo = RewardModelReward(reward_model, position=1)
+            self.objectives = (self.objectives[0], "demo", *self.objectives[1:])
         self.reward_dim = len(self.objectives)
         size = self._env.observation_spec["observation"].shape[-1]
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
@@ -132,10 +148,9 @@ class NavigationGymEnv(gymnasium.Env):
         action = np.asarray(action, dtype=np.float32)
         if action.shape != self.action_space.shape:
             raise ValueError(f"An action is {self.action_space.shape}, got {action.shape}.")
-        self._current = self._env.step(self._current.set("action", torch.tensor(action)[None]))[
-            "next"
-        ]
-        reward = self._current["reward"][0].numpy().astype(np.float32)
+        before = self._current.set("action", torch.tensor(action)[None])
+        self._current = self._env.step(before)["next"]
+        reward = self._reward(before)[0].numpy().astype(np.float32)
         terminated, truncated = (bool(self._current[key]) for key in ("terminated", "truncated"))
         return self._observation(), reward, terminated, truncated, self._info()
 
@@ -149,6 +164,17 @@ class NavigationGymEnv(gymnasium.Env):
 
     def _observation(self) -> np.ndarray:
         return self._current["observation"][0].numpy().astype(np.float32)
+
+    def _reward(self, before: TensorDict) -> torch.Tensor:
+        reward = self._current["reward"]
+        if self._demo is None:
+            return reward
+        space = self._env.action_spec.space
+        # The reward model knows a policy's actions, in [-1, 1].
+        scaled = 2 * (before["action"].clamp(space.low, space.high) - space.low)
+        scaled = scaled / (space.high - space.low) - 1
+        step = {"observation": before["observation"], "action": scaled, "reward": reward}
+        return self._demo(TensorDict(step, batch_size=[1]))["reward"]
 
     def _info(self) -> dict[str, Any]:
         keys = ("success", "collision_human", "collision_obstacle")

@@ -6,10 +6,14 @@ import csv
 import time
 
 import pytest
+import torch
+from tensordict import TensorDict
 
+from benchmarks import quality_peers, time_to_quality, training_step
 from benchmarks import test_units as units
-from benchmarks import time_to_quality, training_step
 from benchmarks.peers_morl_baselines import algorithm
+from torchrl_morl.deploy import load_policy
+from torchrl_morl.modules import RewardModel
 
 TINY = (
     "compute.compile=false",
@@ -109,6 +113,21 @@ def test_peers_train_on_the_navigation_task(system, tmp_path):
     time_to_quality.main([*command, "--pd-morl", *TINY])
     with path.open() as file:
         assert len(list(csv.DictReader(file))) == 1
+
+
+def test_the_policy_of_capql_is_saved_as_one_of_ours(tmp_path):
+    try:
+        algorithm("capql.capql")
+    except ImportError:
+        pytest.skip("MORL-Baselines is an optional dependency of the benchmark")
+    model = RewardModel(in_features=36 + 2, num_cells=(8,))
+    env = quality_peers.make_env(0, 0.01, reward_model=model)
+    peer = quality_peers.Peer("capql", env, seed=0, gamma=0.99)
+    peer.save(tmp_path / "policy", {"score": 0.0})
+    actor, space, _ = load_policy(tmp_path / "policy")
+    assert space.objectives == ("core", "demo", "distance", "efficiency")
+    data = TensorDict(observation=torch.randn(5, 36), preference=space.sample(5), batch_size=5)
+    torch.testing.assert_close(actor(data.clone())["action"], peer.actor(data.clone())["action"])
 
 
 def test_units_run():

@@ -14,12 +14,15 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RescaleAction
 from mo_gymnasium.wrappers import LinearReward, MONormalizeReward, MORecordEpisodeStatistics
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
+from tensordict import TensorDict
 from torchrl.envs import MOGymEnv, MOGymWrapper, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from envs import NavigationEnv
 from envs.gym import NavigationGymEnv
 from envs.policy_env import policy_transforms
+from torchrl_morl.deploy import save_reward_model
+from torchrl_morl.modules import RewardModel
 
 IDS = {
     "torchrl_morl/Navigation-v0": "static",
@@ -57,6 +60,26 @@ def test_keywords_reach_the_simulation():
     assert env.unwrapped._navigation.robot.name == "hsr"
     with pytest.raises(ValueError, match="Unknown scene 'maze'"):
         mo_gymnasium.make("torchrl_morl/Navigation-v0", scene="maze")
+
+
+def test_a_reward_model_adds_the_objective_demo(tmp_path):
+    model = RewardModel(in_features=36 + 2, num_cells=(8,))
+    save_reward_model(tmp_path, model, in_features=36 + 2, num_cells=(8,), num_members=1, card={})
+    env = mo_gymnasium.make("torchrl_morl/Navigation-v0", reward_model=str(tmp_path))
+    assert env.unwrapped.objectives == ("core", "demo", "distance", "efficiency")
+    assert env.unwrapped.reward_dim == 4 and env.unwrapped.reward_space.shape == (4,)
+    observation, _ = env.reset(seed=0)
+    # Full speed and a quarter of a turn to the left are (1, 0.5) for a policy; faster is no faster.
+    _, reward, *_ = env.step(np.array([0.7, math.pi / 2], dtype=np.float32))
+    step = TensorDict(observation=torch.from_numpy(observation), action=torch.tensor([1.0, 0.5]))
+    score = model(step)["demo_score"].item()
+    assert reward[1] == pytest.approx(10 * (score - 1), abs=1e-5)
+    bare = mo_gymnasium.make("torchrl_morl/Navigation-v0")
+    bare.reset(seed=0)
+    _, without, *_ = bare.step(np.array([0.7, math.pi / 2], dtype=np.float32))
+    np.testing.assert_array_equal(reward[[0, 2, 3]], without)
+    with pytest.raises(FileNotFoundError, match="reward_model"):
+        mo_gymnasium.make("torchrl_morl/Navigation-v0", reward_model=str(tmp_path / "none"))
 
 
 @pytest.mark.parametrize("name", IDS)
