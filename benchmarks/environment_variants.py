@@ -13,10 +13,12 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv
 
 from envs import NavigationEnv
+from envs.mjcf import LIDAR_HEIGHT
 
 from .peers_environment import (
     FRAME_SKIP,
     GOAL_RADIUS,
+    LIDAR_GROUPS,
     MAX_EPISODE_STEPS,
     MAX_RANGE,
     NUM_RAYS,
@@ -120,6 +122,9 @@ class BatchLoop:
         self.steps += 1
         self.ctrl[:, :2] = self.rng.uniform(self.low, self.high, (self.batch.nsim, 2))
         self.batch.step(nstep=FRAME_SKIP)
+        self.scan()
+
+    def scan(self) -> None:
         position, cos, sin = self.qpos[:, :2], np.cos(self.qpos[:, 2]), np.sin(self.qpos[:, 2])
         self.task.locate(position)
         seen = self.task.ahead_and_left(cos, sin)
@@ -127,6 +132,24 @@ class BatchLoop:
 
     def close(self) -> None:
         pass
+
+
+class BatchRayLoop(BatchLoop):
+    """The same with MuJoCo's own rays, every one of them."""
+
+    def __init__(self, env: NavigationEnv) -> None:
+        super().__init__(env)
+        self.body = env.model.body("robot").id
+        self.angles = 2 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
+        self.origin = np.full((self.batch.nsim, 1, 3), LIDAR_HEIGHT)
+        self.rays = np.zeros((self.batch.nsim, NUM_RAYS, 3))
+
+    def scan(self) -> None:
+        angle = self.qpos[:, 2:3] + self.angles
+        np.cos(angle, out=self.rays[..., 0])
+        np.sin(angle, out=self.rays[..., 1])
+        self.origin[:, 0, :2] = self.qpos[:, :2]
+        self.batch.ray(self.origin, self.rays, geomgroup=LIDAR_GROUPS, bodyexclude=self.body)
 
 
 def first_elapsed(num_envs: int) -> list[int]:
@@ -187,6 +210,10 @@ def _batch_loop(num_envs: int, num_threads: int) -> Loop:
     return BatchLoop(navigation_env(num_envs, num_threads))
 
 
+def _batch_ray_loop(num_envs: int, num_threads: int) -> Loop:
+    return BatchRayLoop(navigation_env(num_envs, num_threads))
+
+
 OURS = "NavigationEnv"
 
 _COMPETITORS: dict[str, Callable[..., EnvBase]] = {
@@ -207,5 +234,6 @@ VARIANTS: dict[str, Callable[[int, int], Loop]] = {
     **{name: functools.partial(_parallel_loop, make) for name, make in PARALLEL.items()},
     "TorchRL without simulation": _empty_loop,
     "Batch without TorchRL": _batch_loop,
+    "Batch without TorchRL, Batch.ray": _batch_ray_loop,
 }
 """What is measured: name, and ``make(num_envs, num_threads)``."""
