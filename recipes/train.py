@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import time
@@ -41,6 +42,8 @@ def main() -> None:
             f"hydra.run.dir={morl}",
             f"demonstrations.reward_model={drex / 'reward_model'}",
             f"demonstrations.dataset={drex / 'demonstrations.safetensors'}",
+            # Nothing else runs here: a second thread makes 1.36 times the updates.
+            f"compute.torch_threads={min(2, os.cpu_count() or 1)}",
             *args.pd_morl,
         ],
     }

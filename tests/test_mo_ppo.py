@@ -180,6 +180,36 @@ def test_anchor_by_hand():
     assert "action" not in batch.keys()
 
 
+def test_smoothness_by_hand():
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=1 + 2, num_cells=())
+    with torch.no_grad():
+        actor[0].module[-1].weight.copy_(torch.tensor([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    seen = torch.tensor([[0.1], [0.1], [0.5], [0.0]]).atanh()
+    later = torch.tensor([[0.4], [0.4], [0.5], [-0.1]]).atanh()
+    batch = TensorDict(
+        observation=seen,
+        preference=torch.rand(4, 2),
+        next=TensorDict(
+            observation=later,
+            done=torch.tensor([[False], [True], [False], [False]]),
+            batch_size=[4],
+        ),
+        batch_size=[4],
+    )
+    # The second episode ends: what follows is another one.
+    torch.testing.assert_close(utils.smoothness(batch, actor), torch.tensor((0.09 + 0.01) / 4))
+    assert "action" not in batch.keys()
+
+
+def test_failures_are_the_episodes_that_end_elsewhere():
+    def rate(done: list[bool], success: list[bool]) -> float:
+        ends = TensorDict(done=torch.tensor(done), success=torch.tensor(success), batch_size=[4])
+        return utils.failure_rate(TensorDict(next=ends, batch_size=[4])).item()
+
+    assert rate([True, True, False, True], [True, False, False, True]) == pytest.approx(1 / 3)
+    assert rate([False] * 4, [False] * 4) == 0.0
+
+
 def test_gradients_go_where_they_belong():
     torch.manual_seed(0)
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
@@ -223,6 +253,7 @@ def test_gradients_go_where_they_belong():
 
     assert trained(losses["loss_objective"]) == {"actor"}
     assert trained(losses["loss_critic"]) == {"critic"}
+    assert trained(utils.smoothness(batch, actor)) == {"actor"}
     assert trained(utils.anchor(batch, actor, sigma=torch.tensor([0.5, 0.1]), objective=0)) == {
         "actor"
     }
@@ -234,6 +265,7 @@ def test_gradients_go_where_they_belong():
         ("optim.batch_size=64", "optim.batch_size must lie between"),
         ("collector.exploration_sigma=[0.05,0]", "exploration_sigma must be positive"),
         ("loss.anchor_coeff=-1", "anchor_coeff must not be negative"),
+        ("loss.smoothness_coeff=-1", "smoothness_coeff must not be negative"),
         ("loss.gamma=1.5", "loss.gamma must be in"),
         ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),
         ("optim.batch_size=0", "optim.batch_size must lie between"),

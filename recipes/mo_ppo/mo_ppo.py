@@ -90,6 +90,8 @@ def main(cfg: DictConfig) -> None:
                     step(optimizers["critic"], losses["loss_critic"], cfg.optim.max_grad_norm)
                     if trains_actor:
                         loss_actor = losses["loss_objective"]
+                        metrics["smoothness"] = utils.smoothness(batch, actor)
+                        loss_actor = loss_actor + cfg.loss.smoothness_coeff * metrics["smoothness"]
                         if demo is not None:
                             # The demonstrated style is a learned reward: see config.yaml.
                             metrics["anchor"] = utils.anchor(
@@ -102,6 +104,7 @@ def main(cfg: DictConfig) -> None:
         if trains_actor:
             for scheduler in schedulers.values():
                 scheduler.step()
+        metrics["failed"] = utils.failure_rate(data)
         logged = {f"train/{name}": value.detach().mean() for name, value in metrics.items()}
         log_metrics(loggers, logged, frames)
 

@@ -36,6 +36,8 @@ BATCH = (
     "advantage",
     "value_target",
     "start_action",
+    ("next", "observation"),
+    ("next", "done"),
 )
 """What an update reads of a transition."""
 
@@ -62,8 +64,9 @@ def check(cfg: DictConfig) -> None:
             "collector.exploration_sigma must be positive, for speed and turn rate, since without "
             f"noise there is nothing to compare, got {sigma}."
         )
-    if cfg.loss.anchor_coeff < 0:
-        raise ValueError(f"loss.anchor_coeff must not be negative, got {cfg.loss.anchor_coeff}.")
+    for name in ("anchor_coeff", "smoothness_coeff"):
+        if cfg.loss[name] < 0:
+            raise ValueError(f"loss.{name} must not be negative, got {cfg.loss[name]}.")
 
 
 def complete(cfg: DictConfig, card: dict[str, Any]) -> DictConfig:
@@ -205,6 +208,28 @@ def anchor(
     way = actor(batch.select(*actor.in_keys))["action"] - batch["start_action"]
     divergence = (way / sigma).square().sum(-1) / 2
     return (batch["preference"][..., objective] ** 3 * divergence).mean()
+
+
+def smoothness(batch: TensorDictBase, actor: TensorDictSequential) -> Tensor:
+    """By how much the turn rate changes from a step to the next, mean square, without unit.
+
+    The temporal term of CAPS (Mysore et al., https://arxiv.org/abs/2012.06644). The other entry, the
+    speed, is at its limit nearly always.
+
+    Args:
+        batch: of transitions.
+        actor: writes ``action`` in [-1, 1], speed and turn rate.
+    """
+    later = batch.select(*actor.in_keys).update(batch["next"].select("observation"))
+    change = actor(later)["action"] - actor(batch.select(*actor.in_keys))["action"]
+    continues = ~batch["next", "done"].squeeze(-1)
+    return (change[..., 1].square() * continues).mean()
+
+
+def failure_rate(data: TensorDictBase) -> Tensor:
+    """Share of the episodes ending in a batch that do not end at the goal."""
+    ended = data["next", "done"]
+    return (ended & ~data["next", "success"]).sum() / ended.sum().clamp(min=1)
 
 
 def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
