@@ -94,7 +94,7 @@ def machine(num_threads: int) -> dict[str, str]:
         for name in ("OMP_NUM_THREADS", "OMP_WAIT_POLICY")
         if name in os.environ
     ]
-    packages = ("torch", "torchrl", "tensordict", "mujoco", "numpy")
+    packages = ("torch", "torchrl", "tensordict", "mujoco", "numpy", "numba")
     return {
         "versions": ", ".join(
             [f"python {platform.python_version()}"]

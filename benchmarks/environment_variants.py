@@ -124,11 +124,12 @@ class BatchLoop:
         self.batch.step(nstep=FRAME_SKIP)
         self.scan()
 
-    def scan(self) -> None:
+    def scan(self) -> np.ndarray:
+        """Ranges ``[N, rays]``, metres."""
         position, cos, sin = self.qpos[:, :2], np.cos(self.qpos[:, 2]), np.sin(self.qpos[:, 2])
         self.task.locate(position)
         seen = self.task.ahead_and_left(cos, sin)
-        self.lidar.cast(seen, cos, sin, self.task.boxes, self.task.radius)
+        return self.lidar.cast(seen, cos, sin, self.task.boxes, self.task.radius)
 
     def close(self) -> None:
         pass
@@ -141,15 +142,19 @@ class BatchRayLoop(BatchLoop):
         super().__init__(env)
         self.body = env.model.body("robot").id
         self.angles = 2 * np.pi * np.arange(NUM_RAYS) / NUM_RAYS
-        self.origin = np.full((self.batch.nsim, 1, 3), LIDAR_HEIGHT)
+        # Filled, entry by entry: Batch.ray would copy the three of every ray by themselves.
+        self.origin = np.full((self.batch.nsim, NUM_RAYS, 3), LIDAR_HEIGHT)
         self.rays = np.zeros((self.batch.nsim, NUM_RAYS, 3))
 
-    def scan(self) -> None:
+    def scan(self) -> np.ndarray:
+        """Ranges ``[N, rays]``, metres; -1 of rays that meet nothing."""
         angle = self.qpos[:, 2:3] + self.angles
         np.cos(angle, out=self.rays[..., 0])
         np.sin(angle, out=self.rays[..., 1])
-        self.origin[:, 0, :2] = self.qpos[:, :2]
-        self.batch.ray(self.origin, self.rays, geomgroup=LIDAR_GROUPS, bodyexclude=self.body)
+        self.origin[..., :2] = self.qpos[:, None, :2]
+        return self.batch.ray(
+            self.origin, self.rays, geomgroup=LIDAR_GROUPS, bodyexclude=self.body
+        )[0]
 
 
 def first_elapsed(num_envs: int) -> list[int]:

@@ -34,7 +34,8 @@ from .learner_systems import config
 
 OURS = "ours"
 FOLDER = Path("runs/benchmarks/quality")
-PEERS = ("capql", "capql-our-weights", "gpi-ls")
+CAPQL = ("capql", "capql-our-weights")
+PEERS = (*CAPQL, "gpi-ls")
 
 
 class Log:
@@ -119,6 +120,10 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
     from . import quality_peers
 
     cfg = config(*args.pd_morl)
+    if cfg.demonstrations.dataset is not None:
+        raise ValueError(
+            "demonstrations.dataset is for this project's recipe: peers replay no demonstrations."
+        )
     torch.set_num_threads(cfg.compute.torch_threads)
     scale = cfg.replay_buffer.reward_scale if args.reward_scale is None else args.reward_scale
     model, demo_card = utils.load_demonstration_objective(cfg) or (None, None)
@@ -275,8 +280,8 @@ def main(arguments: list[str] | None = None) -> None:
         if args.plot:
             plot(runs, args.plot, args.clock)
         return
-    if args.save is not None and args.system not in PEERS[:2]:
-        parser.error(f"--save is for {' and '.join(PEERS[:2])}, not {args.system}.")
+    if args.save is not None and args.system not in CAPQL:
+        parser.error(f"--save is for {' and '.join(CAPQL)}, not {args.system}.")
     if args.save is not None and args.save.exists():
         parser.error(f"{args.save} exists and is not overwritten: choose another --save.")
     log = Log(args.output or FOLDER / f"{args.system}_{args.seed}.csv", args.system, args.seed)

@@ -54,6 +54,7 @@ class NavigationGymEnv(gymnasium.Env):
     Raises:
         ValueError: for an unknown ``render_mode``, or from :class:`NavigationEnv`.
         FileNotFoundError: if the folder holds no reward model.
+        ValueError: for a reward model of another observation.
 
     Examples:
         >>> import mo_gymnasium
@@ -102,6 +103,7 @@ class NavigationGymEnv(gymnasium.Env):
         self._demo = None
         if reward_model is not None:
             self._demo = RewardModelReward(reward_model, position=1)
+            self._check(reward_model)
             self.objectives = (self.objectives[0], "demo", *self.objectives[1:])
         self.reward_dim = len(self.objectives)
         size = self._env.observation_spec["observation"].shape[-1]
@@ -164,6 +166,16 @@ class NavigationGymEnv(gymnasium.Env):
 
     def _observation(self) -> np.ndarray:
         return self._current["observation"][0].numpy().astype(np.float32)
+
+    def _check(self, reward_model: RewardModel) -> None:
+        expected = self._env.observation_spec["observation"].shape[-1]
+        size = reward_model.module.members[0][0].in_features - 2 * (
+            "action" in reward_model.in_keys
+        )
+        if size != expected:
+            raise ValueError(
+                f"The reward model is about observations of {size} entries, here they have {expected}."
+            )
 
     def _reward(self, before: TensorDict) -> torch.Tensor:
         reward = self._current["reward"]

@@ -23,7 +23,7 @@ class Lidar:
     A planar lidar sees a circle, the human, and boxes, which stand upright: their intersections with
     rays are closed forms, and only the rays between the tangents of a circle around an obstacle, a few
     dozen of a revolution, can meet it. Ranges are those of :meth:`mujoco.batch.Batch.ray` but for
-    rounding, at a twentieth of the time.
+    rounding. Other geoms of the model are invisible to it.
 
     Ray 0 points along the heading, the others follow counter-clockwise at equal angles.
 

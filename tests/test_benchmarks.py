@@ -22,6 +22,8 @@ from benchmarks.environment_variants import (
     OURS,
     PARALLEL,
     VARIANTS,
+    BatchLoop,
+    BatchRayLoop,
     EmptyEnv,
     TorchRLLoop,
     first_elapsed,
@@ -47,6 +49,16 @@ def _steer(human, goal, noise):
     aside = 4.0 * (1.5 - distance).clamp_min(0.0) * -bearing.sign() * (bearing.abs() < 1.5)
     turn = 2.0 * goal[:, 1] + aside + 0.5 * noise[:, 1]
     return torch.stack((0.45 + 0.1 * noise[:, 0], turn), dim=-1)
+
+
+def test_bare_loops_scan_what_the_environment_scans():
+    loop = BatchRayLoop(navigation_env(4, 1))
+    for _ in range(5):
+        loop.step()
+    ranges, every = BatchLoop.scan(loop), loop.scan()
+    every = np.where(every < 0, MAX_RANGE, every).clip(1e-3, MAX_RANGE)
+    np.testing.assert_allclose(ranges, every, rtol=0, atol=1e-6)
+    assert (ranges < MAX_RANGE).any()
 
 
 @pytest.mark.parametrize(

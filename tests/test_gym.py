@@ -78,6 +78,9 @@ def test_a_reward_model_adds_the_objective_demo(tmp_path):
     bare.reset(seed=0)
     _, without, *_ = bare.step(np.array([0.7, math.pi / 2], dtype=np.float32))
     np.testing.assert_array_equal(reward[[0, 2, 3]], without)
+    blind = RewardModel(in_features=33 + 2, num_cells=(8,))
+    with pytest.raises(ValueError, match="observations of 33 entries, here they have 36"):
+        mo_gymnasium.make("torchrl_morl/Navigation-v0", reward_model=blind)
     with pytest.raises(FileNotFoundError, match="reward_model"):
         mo_gymnasium.make("torchrl_morl/Navigation-v0", reward_model=str(tmp_path / "none"))
 

@@ -36,8 +36,9 @@ CONFIG = {
     "evaluation": {"scene": "static", "episodes": 50},
 }
 TINY = (
-    # A setting of the process: other tests run in it.
+    # Settings of the process: other tests run in it.
     "compute.torch_threads=1",
+    "compute.matmul_precision=highest",
     "env.num_threads=1",
     "env.num_envs=4",
     "collector.frames_per_batch=32",
@@ -142,6 +143,22 @@ def test_anchor_holds_a_policy_with_demonstrations(tmp_path):
     assert 0 < moved[1] < moved[0] / 2, moved
 
 
+def test_smoothness_steadies_a_policy(polished, tmp_path):
+    start, _ = polished
+    changes = []
+    for coefficient in (1e-9, 1e6):
+        folder = run(
+            tmp_path / str(coefficient),
+            start,
+            f"loss.smoothness_coeff={coefficient}",
+            *("optim.lr=1e-2", "collector.total_frames=320", "evaluation.interval=320"),
+        )
+        rows = (folder / "log_csv/scalars/train/smoothness.csv").read_text().split()
+        changes.append(float(rows[-1].split(",")[-1]))
+        assert (folder / "log_csv/scalars/train/failed.csv").exists()
+    assert 0 < changes[1] < changes[0] / 2, changes
+
+
 def test_likelihood_and_bounds():
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
     noisy, policy = utils.make_policy(actor, torch.tensor([0.5, 0.25]))
@@ -207,7 +224,18 @@ def test_failures_are_the_episodes_that_end_elsewhere():
         return utils.failure_rate(TensorDict(next=ends, batch_size=[4])).item()
 
     assert rate([True, True, False, True], [True, False, False, True]) == pytest.approx(1 / 3)
-    assert rate([False] * 4, [False] * 4) == 0.0
+    assert math.isnan(rate([False] * 4, [False] * 4))
+
+
+def test_evaluations_are_in_float32():
+    torch.set_float32_matmul_precision("medium")
+    try:
+        with pytest.raises(KeyError), utils.full_precision():
+            assert torch.get_float32_matmul_precision() == "highest"
+            raise KeyError
+        assert torch.get_float32_matmul_precision() == "medium"
+    finally:
+        torch.set_float32_matmul_precision("highest")
 
 
 def test_gradients_go_where_they_belong():

@@ -13,6 +13,8 @@ from envs.lidar import _compiled
 from envs.mjcf import LIDAR_HEIGHT
 from tests._navigation import F64, make_env, place
 
+F32 = torch.float32
+
 # --- observations ------------------------------------------------------------------------------
 
 
@@ -109,9 +111,10 @@ def _mujoco_scan(env, pose: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("robot", ["turtlebot2", "hsr"])
 @pytest.mark.parametrize("scene", ["static", "corridor", "empty"])
-@pytest.mark.parametrize("num_rays", [720, 101, 4])
-def test_the_lidar_against_mujoco(num_rays, scene, robot):
-    env = make_env(num_envs=40, scene=scene, robot=robot, num_rays=num_rays)
+@pytest.mark.parametrize(("num_rays", "dtype"), [(720, F64), (101, F64), (4, F64), (720, F32)])
+def test_the_lidar_against_mujoco(num_rays, dtype, scene, robot):
+    env = make_env(num_envs=40, scene=scene, robot=robot, num_rays=num_rays, dtype=dtype)
+    tolerance = 1e-9 if dtype is F64 else 1e-6
     generator = np.random.default_rng(0)
     for _ in range(5):
         start = env.reset()
@@ -125,7 +128,8 @@ def test_the_lidar_against_mujoco(num_rays, scene, robot):
         start["qpos"] = torch.from_numpy(pose)
         seen = env.reset(start, set_state=True)
         expected = _mujoco_scan(env, seen["pose"].numpy())
-        np.testing.assert_allclose(seen["scan"].numpy(), expected, rtol=0, atol=1e-9)
+        assert seen["scan"].dtype is dtype
+        np.testing.assert_allclose(seen["scan"].numpy(), expected, rtol=0, atol=tolerance)
         # Some of the environments only.
         mask = torch.from_numpy(generator.random((40, 1)) < 0.2)
         again = env.reset(seen.clone().set("_reset", mask), set_state=True)

@@ -73,6 +73,8 @@ def test_train_runs_its_stages_one_after_the_other(polish, tmp_path, monkeypatch
     assert drex == ["recipes.drex.drex", f"hydra.run.dir={folder / 'drex'}", "seed=2"]
     assert f"demonstrations.reward_model={folder / 'drex' / 'reward_model'}" in morl
     assert f"demonstrations.dataset={folder / 'drex' / 'demonstrations.safetensors'}" in morl
+    threads = [place for place, one in enumerate(morl) if one.startswith("compute.torch_threads=")]
+    assert len(threads) == 1 and morl[threads[0]][-1] in "12"  # the user's come after
     assert morl[-1] == "seed=1"
     assert evaluation[1:5] == ["--policy", policy, "--episodes", "5"]
     assert f"python -m recipes.demo --policy {policy}" in capsys.readouterr().out

@@ -90,8 +90,10 @@ def main(cfg: DictConfig) -> None:
                     step(optimizers["critic"], losses["loss_critic"], cfg.optim.max_grad_norm)
                     if trains_actor:
                         loss_actor = losses["loss_objective"]
-                        metrics["smoothness"] = utils.smoothness(batch, actor)
-                        loss_actor = loss_actor + cfg.loss.smoothness_coeff * metrics["smoothness"]
+                        if cfg.loss.smoothness_coeff:
+                            metrics["smoothness"] = utils.smoothness(batch, actor)
+                            penalty = cfg.loss.smoothness_coeff * metrics["smoothness"]
+                            loss_actor = loss_actor + penalty
                         if demo is not None:
                             # The demonstrated style is a learned reward: see config.yaml.
                             metrics["anchor"] = utils.anchor(
@@ -110,7 +112,7 @@ def main(cfg: DictConfig) -> None:
 
         last = frames >= cfg.collector.total_frames
         if last or crossed(cfg.evaluation.interval, collected, frames):
-            with timeit("evaluate"):
+            with timeit("evaluate"), utils.full_precision():
                 result = evaluation.evaluate(
                     cfg, task.eval_env, averaged.module, task.space, task.demonstration
                 )

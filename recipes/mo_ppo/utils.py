@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -211,14 +213,18 @@ def anchor(
 
 
 def smoothness(batch: TensorDictBase, actor: TensorDictSequential) -> Tensor:
-    """By how much the turn rate changes from a step to the next, mean square, without unit.
+    """By how much the turn rate changes from a step to the next, mean square.
 
-    The temporal term of CAPS (Mysore et al., https://arxiv.org/abs/2012.06644). The other entry, the
-    speed, is at its limit nearly always.
+    After the temporal term of CAPS (Mysore et al., https://arxiv.org/abs/2012.06644), squared, and of
+    the turn rate alone: the speed is at its limit nearly always.
 
     Args:
         batch: of transitions.
         actor: writes ``action`` in [-1, 1], speed and turn rate.
+
+    Returns:
+        A number, in units of half the range of the turn rate, squared. The last step of an episode
+        counts as no change.
     """
     later = batch.select(*actor.in_keys).update(batch["next"].select("observation"))
     change = actor(later)["action"] - actor(batch.select(*actor.in_keys))["action"]
@@ -227,9 +233,20 @@ def smoothness(batch: TensorDictBase, actor: TensorDictSequential) -> Tensor:
 
 
 def failure_rate(data: TensorDictBase) -> Tensor:
-    """Share of the episodes ending in a batch that do not end at the goal."""
+    """Share of the episodes ending in a batch that do not end at the goal; NaN where none ends."""
     ended = data["next", "done"]
-    return (ended & ~data["next", "success"]).sum() / ended.sum().clamp(min=1)
+    return (ended & ~data["next", "success"]).sum() / ended.sum()
+
+
+@contextlib.contextmanager
+def full_precision() -> Iterator[None]:
+    """Matrix products in float32, as in every other evaluation of a policy."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("highest")
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
 
 
 def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
