@@ -15,7 +15,7 @@ from torchrl.envs import MujocoEnv
 
 from envs import get_robot, get_scene
 from envs.mjcf import LIDAR_HEIGHT, navigation_mjcf
-from envs.navigation import SCENE_BLOCK
+from envs.scene_stream import SCENE_BLOCK
 from envs.scenes import HUMAN_RADIUS
 from envs.task import (
     COLLISION_REWARD,

@@ -25,11 +25,10 @@ from .mjcf import Drive, navigation_mjcf, time_step
 from .perturbation import Perturbation, get_perturbation
 from .rendering import Camera
 from .robots import Robot, get_robot
+from .scene_stream import SceneStream
 from .scenes import Scene, get_scene
 from .task import NavigationTask
 from .views import chase_view, top_view
-
-SCENE_BLOCK = 64
 
 
 class NavigationEnv(BatchedMujocoEnv):
@@ -73,6 +72,8 @@ class NavigationEnv(BatchedMujocoEnv):
         goal_radius: distance between the robot's centre and the goal at which it is reached, m.
         num_rays: lidar rays per revolution.
         max_range: range of the lidar, metres.
+        repeat_failed: share of the episodes that take place in a scene in which one has failed, for
+            training: see :class:`envs.scene_stream.SceneStream`.
         perturbation: sensor and actuation faults, also as a mapping of their names to amounts.
         max_episode_steps: steps of 0.2 s before truncation.
         camera: ``"top"`` shows the whole scene from above, ``"chase"`` follows the robot.
@@ -102,6 +103,7 @@ class NavigationEnv(BatchedMujocoEnv):
         goal_radius: float = 0.3,
         num_rays: int = 720,
         max_range: float = 4.0,
+        repeat_failed: float = 0.0,
         perturbation: Perturbation | Mapping[str, Any] | None = None,
         max_episode_steps: int = 300,
         camera: str | Camera = "top",
@@ -121,6 +123,10 @@ class NavigationEnv(BatchedMujocoEnv):
         self.num_rays = num_rays
         self.max_range = max_range
         self.perturbation = get_perturbation(perturbation)
+        num_envs = kwargs.get("num_envs", 1)
+        self._scenes = SceneStream(
+            self.scene, self.robot.radius, num_envs, repeat_failed=repeat_failed
+        )
         # Faults draw from their own generator, so that switching them on leaves scenes unchanged.
         self._fault_rng = torch.Generator()
         super().__init__(
@@ -229,7 +235,10 @@ class NavigationEnv(BatchedMujocoEnv):
     def _sample_initial_state(
         self, ids: Tensor, tensordict: TensorDictBase | None
     ) -> tuple[Tensor, Tensor]:
-        rows, sampled = ids.numpy(), self._next_scenes(ids.numel())
+        rows = ids.numpy()
+        ended = self._task.flags.any(1) | (self._elapsed.numpy()[:, 0] >= self.max_episode_steps)
+        failed = (ended & ~self._task.flags[:, 0])[rows]
+        sampled = self._scenes.deal(rows, failed, self.rng)
         self._task.human_pose[rows] = sampled["human"]
         self._task.goal[rows] = sampled["goal"]
         self._task.human_goal[rows] = sampled["human_goal"]
@@ -239,21 +248,6 @@ class NavigationEnv(BatchedMujocoEnv):
             self._faults[ids] = self.perturbation.draw(len(rows), self._fault_rng)
         qpos = pose_to_qpos(sampled["start"], self.drive, self.model.nq)
         return torch.from_numpy(qpos), torch.zeros(len(rows), self.model.nv, dtype=torch.float64)
-
-    def _next_scenes(self, n: int) -> dict[str, np.ndarray]:
-        """The next ``n`` scenes of the stream that the seed fixes.
-
-        They are drawn in blocks, since a block costs little more than a single scene.
-        """
-        while self._scenes is None or len(self._scenes["start"]) < n:
-            block = self.scene.sample(SCENE_BLOCK, self.robot.radius, self.rng)
-            block = {key: values.numpy() for key, values in block.items()}
-            if self._scenes is not None:
-                block = {key: np.concatenate((self._scenes[key], block[key])) for key in block}
-            self._scenes = block
-        taken = {key: values[:n] for key, values in self._scenes.items()}
-        self._scenes = {key: values[n:] for key, values in self._scenes.items()}
-        return taken
 
     def _load_snapshot(self, ids: Tensor, tensordict: TensorDictBase) -> None:
         super()._load_snapshot(ids, tensordict)
@@ -383,5 +377,5 @@ class NavigationEnv(BatchedMujocoEnv):
     def _set_seed(self, seed: int | None) -> None:
         super()._set_seed(seed)
         if seed is not None:
-            self._scenes: dict[str, np.ndarray] | None = None
+            self._scenes.seed(seed)
             self._fault_rng.manual_seed(seed + 1)

@@ -94,7 +94,8 @@ def test_writes_policies_that_load(polished):
     assert card["start"]["config"] == CONFIG
     assert card["config"]["loss"]["lmbda"] == 0.9
     # What was null is what the policy was trained in.
-    assert card["config"]["env"] == CONFIG["env"] | {"num_envs": 4, "num_threads": 1}
+    own = {"num_envs": 4, "num_threads": 1, "repeat_failed": 0.0}
+    assert card["config"]["env"] == CONFIG["env"] | own
     assert card["config"]["evaluation"]["scene"] == "static"
     before, *_ = load_policy(start)
     assert actor.state_dict().keys() == before.state_dict().keys()

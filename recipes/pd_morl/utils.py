@@ -102,7 +102,13 @@ def make_eval_env(
 def evaluation_arguments(cfg: DictConfig) -> dict[str, Any]:
     """Of :func:`make_policy_env`: the training's own but for the scenes."""
     changed = cfg.evaluation
-    return {**cfg.env, "num_envs": changed.episodes, "scene": changed.scene, "seed": changed.seed}
+    return {
+        **cfg.env,
+        "num_envs": changed.episodes,
+        "scene": changed.scene,
+        "seed": changed.seed,
+        "repeat_failed": 0.0,
+    }
 
 
 def make_policy(

@@ -1,0 +1,100 @@
+"""Which scene comes next."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from .scenes import Scene
+
+SCENE_BLOCK = 64
+"""Scenes are drawn in blocks, since a block costs little more than a single scene."""
+
+# Of the failed scenes the latest are kept: by then, the policy has learned to solve the earlier ones.
+_CAPACITY = 2_048
+
+
+class SceneStream:
+    """The scenes that a seed fixes, one after the other, between which failed ones may come again.
+
+    A trained policy fails in one episode of hundreds: without a repetition, a batch holds hardly any from which it could
+    learn more. As in prioritized level replay (Jiang et al., https://arxiv.org/abs/2010.03934), with failure as
+    the score.
+
+    Args:
+        scene: what to draw from.
+        robot_radius: metres.
+        num_envs: environments that play them.
+        repeat_failed: share of the episodes that take place in a scene in which an episode has failed,
+            once there is one.
+
+    Raises:
+        ValueError: for a share that is not between 0 and 1.
+    """
+
+    def __init__(
+        self, scene: Scene, robot_radius: float, num_envs: int, *, repeat_failed: float = 0.0
+    ) -> None:
+        if not 0.0 <= repeat_failed <= 1.0:
+            raise ValueError(f"repeat_failed must be between 0 and 1, got {repeat_failed}.")
+        self.scene = scene
+        self.robot_radius = robot_radius
+        self.num_envs = num_envs
+        self.repeat_failed = repeat_failed
+        # Which scenes come again is drawn apart, so that the new ones stay the same.
+        self._rng = np.random.default_rng()
+        self.seed(0)
+
+    def seed(self, seed: int) -> None:
+        """Start again; the new scenes follow the generator given to :meth:`deal`."""
+        self._rng = np.random.default_rng(seed)
+        self._new: dict[str, np.ndarray] | None = None
+        self._failed: dict[str, np.ndarray] | None = None
+        self._played: dict[str, np.ndarray] | None = None
+
+    def deal(
+        self, rows: np.ndarray, failed: np.ndarray, generator: torch.Generator
+    ) -> dict[str, np.ndarray]:
+        """Scenes for the environments ``rows``: the entries of :class:`Scene`, as arrays ``[n, ...]``.
+
+        Args:
+            rows: ``[n]``.
+            failed: of the episodes that end here, ``[n]``, bool: not at the goal.
+            generator: of new scenes.
+        """
+        if not self.repeat_failed:
+            return self._next(len(rows), generator)
+        if self._played is not None and failed.any():
+            lost = {key: values[rows[failed]] for key, values in self._played.items()}
+            if self._failed is not None:
+                lost = _joined(self._failed, lost)
+            self._failed = {key: values[-_CAPACITY:] for key, values in lost.items()}
+        again = np.zeros(len(rows), dtype=bool)
+        if self._failed is not None:
+            again = self._rng.random(len(rows)) < self.repeat_failed
+        scenes = self._next(int((~again).sum()), generator)
+        if again.any():
+            chosen = self._rng.integers(len(self._failed["start"]), size=int(again.sum()))
+            order = np.argsort(np.concatenate((np.flatnonzero(~again), np.flatnonzero(again))))
+            repeated = {key: values[chosen] for key, values in self._failed.items()}
+            scenes = {key: values[order] for key, values in _joined(scenes, repeated).items()}
+        if self._played is None:
+            self._played = {
+                key: np.zeros((self.num_envs, *values.shape[1:])) for key, values in scenes.items()
+            }
+        for key, values in scenes.items():
+            self._played[key][rows] = values
+        return scenes
+
+    def _next(self, n: int, generator: torch.Generator) -> dict[str, np.ndarray]:
+        while self._new is None or len(self._new["start"]) < n:
+            block = self.scene.sample(SCENE_BLOCK, self.robot_radius, generator)
+            block = {key: values.numpy() for key, values in block.items()}
+            self._new = block if self._new is None else _joined(self._new, block)
+        taken = {key: values[:n] for key, values in self._new.items()}
+        self._new = {key: values[n:] for key, values in self._new.items()}
+        return taken
+
+
+def _joined(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {key: np.concatenate((first[key], second[key])) for key in first}
