@@ -140,7 +140,19 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
         if args.save is not None:
             card = {
                 "system": f"MORL-Baselines {version('morl-baselines')} {log.system}",
-                "config": {"seed": log.seed, "gamma": args.gamma, "reward_scale": scale},
+                "config": {
+                    "seed": log.seed,
+                    "gamma": args.gamma,
+                    "reward_scale": scale,
+                    # Of Navigation-v0.
+                    "env": {
+                        "scene": navigation.scene.name,
+                        "robot": navigation.robot.name,
+                        "goal_radius": navigation.goal_radius,
+                        "max_episode_steps": navigation.max_episode_steps,
+                        "num_envs": navigation.num_envs,
+                    },
+                },
                 "steps": steps,
                 "minutes": round(minutes, 1),
                 "evaluation": {"preferences": result.names, **result.columns},
@@ -160,6 +172,7 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
             raise quality_peers.Finished
 
     env = quality_peers.make_env(log.seed, scale, after_step, model)
+    navigation = env.unwrapped._navigation
     log.start()
     peer = quality_peers.Peer(log.system, env, seed=log.seed, gamma=args.gamma)
     # GPI-LS itself evaluates, to choose its next weights: that is part of its training.
