@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from torchrl.data import Bounded
 
 import envs.gym
+from envs import NavigationEnv
 from recipes.pd_morl import utils
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.modules import RewardModel, make_actor
@@ -81,7 +82,8 @@ class _OurWeights:
     """In place of CAPQL's cone around equal weights: the weights that the evaluation asks for."""
 
     def __init__(self, num_objectives: int, *_: Any) -> None:
-        self.space = utils.make_preference_space(with_demonstrations=num_objectives == 4)
+        with_demonstrations = num_objectives > len(NavigationEnv.objectives)
+        self.space = utils.make_preference_space(with_demonstrations=with_demonstrations)
 
     def sample(self, number: int) -> Tensor:
         return simplex_weights(self.space, self.space.sample(number))

@@ -134,9 +134,8 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
 
     def evaluate(steps: int) -> None:
         minutes = log.seconds[args.clock == "cpu"] / 60
-        actor = peer.actor.eval()
-        function, arguments = evaluation.evaluate, (cfg, eval_env, actor, space, demonstration)
-        result = log.evaluate(steps, function, *arguments)
+        arguments = (cfg, eval_env, peer.actor.eval(), space, demonstration)
+        result = log.evaluate(steps, evaluation.evaluate, *arguments)
         if args.save is not None:
             card = {
                 "system": f"MORL-Baselines {version('morl-baselines')} {log.system}",

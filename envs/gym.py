@@ -169,9 +169,7 @@ class NavigationGymEnv(gymnasium.Env):
 
     def _check(self, reward_model: RewardModel) -> None:
         expected = self._env.observation_spec["observation"].shape[-1]
-        size = reward_model.module.members[0][0].in_features - 2 * (
-            "action" in reward_model.in_keys
-        )
+        size = reward_model.in_features - 2 * ("action" in reward_model.in_keys)
         if size != expected:
             raise ValueError(
                 f"The reward model is about observations of {size} entries, here they have {expected}."

@@ -1,7 +1,8 @@
 """The MuJoCo model: a robot, a human, a goal marker and boxes, all of primitive geoms.
 
 Collision geoms are in group 0, which is also what MuJoCo's rays see in tests and benchmarks (the
-lidar of the environment computes its ranges from the scene); group 1 is decoration. Human, goal and boxes are mocap bodies, placed at reset; box sizes are set for each environment.
+lidar of the environment computes its ranges from the scene); group 1 is decoration. Human, goal
+and boxes are mocap bodies, placed at reset; box sizes are set for each environment.
 """
 
 from __future__ import annotations

@@ -236,8 +236,8 @@ class NavigationEnv(BatchedMujocoEnv):
         self, ids: Tensor, tensordict: TensorDictBase | None
     ) -> tuple[Tensor, Tensor]:
         rows = ids.numpy()
-        ended = self._task.flags.any(1) | (self._elapsed.numpy()[:, 0] >= self.max_episode_steps)
-        failed = (ended & ~self._task.flags[:, 0])[rows]
+        flags, elapsed = self._task.flags[rows], self._elapsed.numpy()[rows, 0]
+        failed = (flags.any(1) | (elapsed >= self.max_episode_steps)) & ~flags[:, 0]
         sampled = self._scenes.deal(rows, failed, self.rng)
         self._task.human_pose[rows] = sampled["human"]
         self._task.goal[rows] = sampled["goal"]
@@ -252,6 +252,7 @@ class NavigationEnv(BatchedMujocoEnv):
     def _load_snapshot(self, ids: Tensor, tensordict: TensorDictBase) -> None:
         super()._load_snapshot(ids, tensordict)
         rows = ids.numpy()
+        self._scenes.forget(rows)
         for key, values in (
             ("human_pose", self._task.human_pose),
             (("scene", "goal"), self._task.goal),

@@ -10,16 +10,16 @@ from .scenes import Scene
 SCENE_BLOCK = 64
 """Scenes are drawn in blocks, since a block costs little more than a single scene."""
 
-# Of the failed scenes the latest are kept: by then, the policy has learned to solve the earlier ones.
+# The latest failed scenes are kept.
 _CAPACITY = 2_048
 
 
 class SceneStream:
     """The scenes that a seed fixes, one after the other, between which failed ones may come again.
 
-    A trained policy fails in one episode of hundreds: without a repetition, a batch holds hardly any from which it could
-    learn more. As in prioritized level replay (Jiang et al., https://arxiv.org/abs/2010.03934), with failure as
-    the score.
+    A trained policy fails in one episode of hundreds: without a repetition, a batch holds hardly any
+    from which it could learn more. As in prioritized level replay (Jiang et al.,
+    https://arxiv.org/abs/2010.03934), with failure as the score.
 
     Args:
         scene: what to draw from.
@@ -41,13 +41,13 @@ class SceneStream:
         self.robot_radius = robot_radius
         self.num_envs = num_envs
         self.repeat_failed = repeat_failed
-        # Which scenes come again is drawn apart, so that the new ones stay the same.
-        self._rng = np.random.default_rng()
         self.seed(0)
 
     def seed(self, seed: int) -> None:
         """Start again; the new scenes follow the generator given to :meth:`deal`."""
+        # Which scenes come again is drawn apart, so that the new ones stay the same.
         self._rng = np.random.default_rng(seed)
+        self._known = np.zeros(self.num_envs, dtype=bool)
         self._new: dict[str, np.ndarray] | None = None
         self._failed: dict[str, np.ndarray] | None = None
         self._played: dict[str, np.ndarray] | None = None
@@ -64,27 +64,33 @@ class SceneStream:
         """
         if not self.repeat_failed:
             return self._next(len(rows), generator)
-        if self._played is not None and failed.any():
-            lost = {key: values[rows[failed]] for key, values in self._played.items()}
-            if self._failed is not None:
-                lost = _joined(self._failed, lost)
-            self._failed = {key: values[-_CAPACITY:] for key, values in lost.items()}
+        self._keep(rows[failed & self._known[rows]])
         again = np.zeros(len(rows), dtype=bool)
         if self._failed is not None:
             again = self._rng.random(len(rows)) < self.repeat_failed
-        scenes = self._next(int((~again).sum()), generator)
-        if again.any():
-            chosen = self._rng.integers(len(self._failed["start"]), size=int(again.sum()))
-            order = np.argsort(np.concatenate((np.flatnonzero(~again), np.flatnonzero(again))))
-            repeated = {key: values[chosen] for key, values in self._failed.items()}
-            scenes = {key: values[order] for key, values in _joined(scenes, repeated).items()}
+        scenes = self._next(len(rows) - again.sum(), generator)
         if self._played is None:
-            self._played = {
-                key: np.zeros((self.num_envs, *values.shape[1:])) for key, values in scenes.items()
-            }
-        for key, values in scenes.items():
-            self._played[key][rows] = values
-        return scenes
+            shapes = {key: values.shape[1:] for key, values in scenes.items()}
+            self._played = {key: np.zeros((self.num_envs, *shapes[key])) for key in shapes}
+        if again.any():
+            chosen = self._rng.integers(len(self._failed["start"]), size=again.sum())
+        for key, played in self._played.items():
+            played[rows[~again]] = scenes[key]
+            if again.any():
+                played[rows[again]] = self._failed[key][chosen]
+        self._known[rows] = True
+        return {key: played[rows] for key, played in self._played.items()}
+
+    def _keep(self, rows: np.ndarray) -> None:
+        """What the environments ``rows`` play has been failed in."""
+        if len(rows):
+            scenes = {key: values[rows] for key, values in self._played.items()}
+            scenes = scenes if self._failed is None else _joined(self._failed, scenes)
+            self._failed = {key: values[-_CAPACITY:] for key, values in scenes.items()}
+
+    def forget(self, rows: np.ndarray) -> None:
+        """The environments ``rows`` play another scene than the one that was dealt to them."""
+        self._known[rows] = False
 
     def _next(self, n: int, generator: torch.Generator) -> dict[str, np.ndarray]:
         while self._new is None or len(self._new["start"]) < n:

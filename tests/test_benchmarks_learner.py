@@ -99,7 +99,7 @@ def test_equal_work_needs_fewer_operations_with_a_longer_delay(data):
 )
 def test_peers_learn(name, data):
     if available([name])[1]:
-        pytest.skip("MORL-Baselines is an optional dependency of the benchmark")
+        pytest.skip("needs .venv-peers: benchmarks/README.md")
     learner = SYSTEMS[name].make(transitions(600), False)
     for _ in range(2):
         learner.update()

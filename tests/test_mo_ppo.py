@@ -193,9 +193,9 @@ def test_anchor_by_hand():
     )
     # 0.2 apart, a standard deviation of 0.1: 2 nats, weighed by (1 + 1/8) / 2.
     batch["start_action"] = policy(0.1)(batch.clone())["action"].detach()
-    distance = utils.anchor(batch, policy(0.3), sigma=torch.tensor([0.5, 0.1]), objective=0)
+    action = policy(0.3)(batch.clone())["action"]
+    distance = utils.anchor(batch, action, sigma=torch.tensor([0.5, 0.1]), objective=0)
     torch.testing.assert_close(distance, torch.tensor(1.125))
-    assert "action" not in batch.keys()
 
 
 def test_smoothness_by_hand():
@@ -215,7 +215,8 @@ def test_smoothness_by_hand():
         batch_size=[4],
     )
     # The second episode ends: what follows is another one.
-    torch.testing.assert_close(utils.smoothness(batch, actor), torch.tensor((0.09 + 0.01) / 4))
+    change = utils.smoothness(batch, actor(batch.clone())["action"], actor)
+    torch.testing.assert_close(change, torch.tensor((0.09 + 0.01) / 4))
     assert "action" not in batch.keys()
 
 
@@ -282,10 +283,10 @@ def test_gradients_go_where_they_belong():
 
     assert trained(losses["loss_objective"]) == {"actor"}
     assert trained(losses["loss_critic"]) == {"critic"}
-    assert trained(utils.smoothness(batch, actor)) == {"actor"}
-    assert trained(utils.anchor(batch, actor, sigma=torch.tensor([0.5, 0.1]), objective=0)) == {
-        "actor"
-    }
+    action = actor(batch.select(*actor.in_keys))["action"]
+    assert trained(utils.smoothness(batch, action, actor)) == {"actor"}
+    sigma = torch.tensor([0.5, 0.1])
+    assert trained(utils.anchor(batch, action, sigma=sigma, objective=0)) == {"actor"}
 
 
 @pytest.mark.parametrize(

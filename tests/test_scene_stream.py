@@ -98,6 +98,15 @@ def test_success_is_no_failure():
     assert not torch.isin(later["scene", "goal"][:, 0], data["scene", "goal"][:, 0]).any()
 
 
+def test_a_restored_snapshot_is_not_the_scene_that_was_dealt():
+    env = NavigationEnv(num_envs=2, seed=0, repeat_failed=1.0, max_episode_steps=1)
+    first = env.reset()
+    env.reset(first, set_state=True)
+    env.step(env.rand_action(first.clone()))  # and ends without success
+    later = env.reset()
+    assert not torch.isin(later["scene", "goal"][:, 0], first["scene", "goal"][:, 0]).any()
+
+
 def test_a_seed_fixes_what_comes_again():
     def goals(env: NavigationEnv) -> torch.Tensor:
         return env.rollout(12, break_when_any_done=False)["scene", "goal"]

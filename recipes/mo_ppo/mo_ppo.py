@@ -90,14 +90,15 @@ def main(cfg: DictConfig) -> None:
                     step(optimizers["critic"], losses["loss_critic"], cfg.optim.max_grad_norm)
                     if trains_actor:
                         loss_actor = losses["loss_objective"]
+                        action = actor(batch.select(*actor.in_keys))["action"]
                         if cfg.loss.smoothness_coeff:
-                            metrics["smoothness"] = utils.smoothness(batch, actor)
+                            metrics["smoothness"] = utils.smoothness(batch, action, actor)
                             penalty = cfg.loss.smoothness_coeff * metrics["smoothness"]
                             loss_actor = loss_actor + penalty
                         if demo is not None:
                             # The demonstrated style is a learned reward: see config.yaml.
                             metrics["anchor"] = utils.anchor(
-                                batch, actor, sigma=sigma, objective=demo
+                                batch, action, sigma=sigma, objective=demo
                             )
                             loss_actor = loss_actor + cfg.loss.anchor_coeff * metrics["anchor"]
                         step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)

@@ -191,9 +191,7 @@ def make_loss(
     return loss
 
 
-def anchor(
-    batch: TensorDictBase, actor: TensorDictSequential, *, sigma: Tensor, objective: int
-) -> Tensor:
+def anchor(batch: TensorDictBase, action: Tensor, *, sigma: Tensor, objective: int) -> Tensor:
     """How far a policy has gone from the one it started as, in nats, where an objective matters.
 
     A mean, weighed by the cube of the weight of the objective: it holds a corner of the preferences
@@ -201,18 +199,17 @@ def anchor(
 
     Args:
         batch: of transitions, with the ``start_action`` of the policy at the start.
-        actor: the mean of the policy.
+        action: the mean of the policy there, ``[*B, A]``.
 
     Keyword Args:
         sigma: standard deviations of both, see :func:`make_policy`.
         objective: the place of the weight in the preference.
     """
-    way = actor(batch.select(*actor.in_keys))["action"] - batch["start_action"]
-    divergence = (way / sigma).square().sum(-1) / 2
+    divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
     return (batch["preference"][..., objective] ** 3 * divergence).mean()
 
 
-def smoothness(batch: TensorDictBase, actor: TensorDictSequential) -> Tensor:
+def smoothness(batch: TensorDictBase, action: Tensor, actor: TensorDictSequential) -> Tensor:
     """By how much the turn rate changes from a step to the next, mean square.
 
     After the temporal term of CAPS (Mysore et al., https://arxiv.org/abs/2012.06644), squared, and of
@@ -220,14 +217,15 @@ def smoothness(batch: TensorDictBase, actor: TensorDictSequential) -> Tensor:
 
     Args:
         batch: of transitions.
-        actor: writes ``action`` in [-1, 1], speed and turn rate.
+        action: of the actor there, in [-1, 1], speed and turn rate, ``[*B, 2]``.
+        actor: writes the action of the step after.
 
     Returns:
         A number, in units of half the range of the turn rate, squared. The last step of an episode
         counts as no change.
     """
     later = batch.select(*actor.in_keys).update(batch["next"].select("observation"))
-    change = actor(later)["action"] - actor(batch.select(*actor.in_keys))["action"]
+    change = actor(later)["action"] - action
     continues = ~batch["next", "done"].squeeze(-1)
     return (change[..., 1].square() * continues).mean()
 

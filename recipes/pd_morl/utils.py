@@ -61,7 +61,7 @@ def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | 
     if folder is None:
         return None
     model, card = load_reward_model(folder)
-    size = model.module.members[0][0].in_features - 2 * ("action" in model.in_keys)
+    size = model.in_features - 2 * ("action" in model.in_keys)
     check_observation(cfg, folder, size)
     return model, card
 

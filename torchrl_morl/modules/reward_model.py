@@ -86,6 +86,11 @@ class RewardModel(TensorDictModule):
             members.append(mlp)
         super().__init__(_MeanSigmoid(members), in_keys=list(in_keys), out_keys=[out_key])
 
+    @property
+    def in_features(self) -> int:
+        """The summed size of all inputs."""
+        return self.module.members[0][0].in_features
+
 
 class _MeanSigmoid(nn.Module):
     """Mean over networks of their sigmoid."""
