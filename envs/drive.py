@@ -6,7 +6,6 @@ import numpy as np
 
 from .geometry import arctan2, cos_sin
 from .mjcf import Drive
-from .robots import Robot
 
 
 def pose_to_qpos(pose: np.ndarray, drive: Drive, nq: int) -> np.ndarray:
@@ -34,17 +33,14 @@ def qpos_to_pose(qpos: np.ndarray, drive: Drive) -> np.ndarray:
     return pose
 
 
-def velocity_to_ctrl(velocity: np.ndarray, drive: Drive, robot: Robot) -> np.ndarray:
+def velocity_to_ctrl(velocity: np.ndarray, drive: Drive) -> np.ndarray:
     """Controls ``[n, nu]`` for forward speed (m/s) and turn rate (rad/s) ``[n, 2]``."""
-    if drive == "planar":
-        # The third servo keeps the base from slipping sideways.
-        ctrl = np.zeros((len(velocity), 3))
-        ctrl[:, :2] = velocity
-        return ctrl
-    speed, turn = velocity.T
-    half = robot.wheel_separation / 2
-    wheels = np.stack((speed - half * turn, speed + half * turn), axis=-1)
-    return wheels / robot.wheel_radius
+    if drive == "wheels":
+        return velocity
+    # The third servo keeps the base from slipping sideways.
+    ctrl = np.zeros((len(velocity), 3))
+    ctrl[:, :2] = velocity
+    return ctrl
 
 
 def yaw_quaternion(yaw: np.ndarray) -> np.ndarray:

@@ -50,19 +50,35 @@ _WHEELS = """
       <geom name="caster_back" class="caster" pos="-{caster} 0 {caster_radius}"
             size="{caster_radius}"/>
       <body name="left_wheel" pos="0 {half_track} {wheel_radius}">
-        <joint name="left_wheel" type="hinge" axis="0 1 0" armature="{armature}"/>
+        <joint name="left_wheel" type="hinge" axis="0 1 0" armature="{armature}"
+               actuatorfrcrange="-{torque} {torque}"/>
         <geom class="wheel" size="{wheel_radius}"/>
       </body>
       <body name="right_wheel" pos="0 -{half_track} {wheel_radius}">
-        <joint name="right_wheel" type="hinge" axis="0 1 0" armature="{armature}"/>
+        <joint name="right_wheel" type="hinge" axis="0 1 0" armature="{armature}"
+               actuatorfrcrange="-{torque} {torque}"/>
         <geom class="wheel" size="{wheel_radius}"/>
       </body>
       {decoration}
     </body>"""
 
+# The base's velocities as its wheels measure them, each under a servo of its own, as on robots: with
+# a servo for each wheel one time constant would have to do for both.
+_WHEELS_TENDONS = """
+  <tendon>
+    <fixed name="forward">
+      <joint joint="left_wheel" coef="{half_radius}"/>
+      <joint joint="right_wheel" coef="{half_radius}"/>
+    </fixed>
+    <fixed name="turn">
+      <joint joint="left_wheel" coef="-{radius_per_track}"/>
+      <joint joint="right_wheel" coef="{radius_per_track}"/>
+    </fixed>
+  </tendon>"""
+
 _WHEELS_ACTUATORS = """
-    <velocity name="left" joint="left_wheel" kv="{kv_wheel}" forcerange="-{torque} {torque}"/>
-    <velocity name="right" joint="right_wheel" kv="{kv_wheel}" forcerange="-{torque} {torque}"/>"""
+    <velocity name="forward" tendon="forward" kv="{kv_rolling}"/>
+    <velocity name="turn" tendon="turn" kv="{kv_rolling_turn}"/>"""
 
 _WORLD = """
 <mujoco model="navigation">
@@ -111,7 +127,7 @@ _WORLD = """
       <geom class="decoration" type="cylinder" pos="0 0 0.3" size="0.03 0.3"
             rgba="0.0 0.62 0.45 1"/>
     </body>{boxes}
-  </worldbody>
+  </worldbody>{tendons}
   <actuator>{actuators}
   </actuator>
 </mujoco>
@@ -153,10 +169,12 @@ def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: 
         ValueError: for an unknown drive.
     """
     half_height = robot.height / 2
-    # A wheel carries half the mass at its rim. The motor's rotor, behind its gears, is as much again:
+    # A wheel carries half the mass at its rim. Its motor's rotor, behind its gears, is as much again:
     # a wheel without it is so light that it turns before the base moves.
-    load = rotor = 0.5 * robot.mass * robot.wheel_radius**2
+    rotor = 0.5 * robot.mass * robot.wheel_radius**2
     inertia = 0.5 * robot.mass * robot.radius**2
+    half_track = robot.wheel_separation / 2
+    rotors = 2 * rotor / robot.wheel_radius**2  # as a mass that moves with the floor's contacts
     caster_radius = 0.6 * robot.wheel_radius
     ground_clearance = 0.5 * robot.wheel_radius
     values = {
@@ -167,15 +185,18 @@ def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: 
         "body_half_height": half_height,
         "caster": 0.7 * robot.radius,
         "caster_radius": caster_radius,
-        "half_track": robot.wheel_separation / 2,
+        "half_track": half_track,
         "wheel_radius": robot.wheel_radius,
         "kv_forward": robot.mass / robot.linear_response,
         "kv_turn": inertia / robot.angular_response,
         # No slip: the velocity follows the heading, one time step late in a turn.
         "kv_lateral": 800.0 * robot.mass,
         "armature": rotor,
-        "kv_wheel": (load + rotor) / robot.linear_response,
-        "torque": (load + rotor) * _WHEEL_ACCELERATION / robot.wheel_radius,
+        "half_radius": robot.wheel_radius / 2,
+        "radius_per_track": robot.wheel_radius / robot.wheel_separation,
+        "kv_rolling": (robot.mass + rotors) / robot.linear_response,
+        "kv_rolling_turn": (inertia + rotors * half_track**2) / robot.angular_response,
+        "torque": 2 * rotor * _WHEEL_ACCELERATION / robot.wheel_radius,
     }
     base_height = half_height if drive == "planar" else 0.0
     top = robot.height - base_height + (0.0 if drive == "planar" else ground_clearance)
@@ -183,17 +204,20 @@ def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: 
     decoration = _DECORATION.format(
         bar=bar, tail=-0.1 * robot.radius, nose=robot.radius - bar, top=top
     )
-    body, actuators = (
-        (_PLANAR, _PLANAR_ACTUATORS) if drive == "planar" else (_WHEELS, _WHEELS_ACTUATORS)
-    )
+    if drive == "planar":
+        body, tendons, actuators = _PLANAR, "", _PLANAR_ACTUATORS
+    else:
+        body, tendons, actuators = _WHEELS, _WHEELS_TENDONS, _WHEELS_ACTUATORS
     return _WORLD.format(
         timestep=time_step(drive),
         # implicitfast leaves out the servos' coupling of the two slides, which the mass matrix lacks:
-        # the base would accelerate up to ten times more slowly when not heading along an axis.
-        integrator="implicit" if drive == "planar" else "implicitfast",
+        # the base would accelerate up to ten times more slowly when not heading along an axis. So do
+        # both for the two wheels, whose fine time step needs neither.
+        integrator="implicit" if drive == "planar" else "Euler",
         gravity=0 if drive == "planar" else -9.81,
         floor_contact="" if drive == "planar" else 'contype="4" conaffinity="1" condim="1"',
         robot=body.format(decoration=decoration, **values),
+        tendons=tendons.format(**values),
         actuators=actuators.format(**values),
         human_half=HUMAN_HEIGHT / 2 - 0.06,
         human_height=HUMAN_HEIGHT - 0.1,

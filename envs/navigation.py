@@ -296,7 +296,7 @@ class NavigationEnv(BatchedMujocoEnv):
             action, self._faults, low, high, self._fault_rng
         )
         velocity = action.numpy().clip(low.numpy(), high.numpy())
-        return torch.from_numpy(velocity_to_ctrl(velocity, self.drive, self.robot))
+        return torch.from_numpy(velocity_to_ctrl(velocity, self.drive))
 
     def _before_physics(self) -> None:
         if self.scene.human_speed:

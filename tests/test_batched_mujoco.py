@@ -55,13 +55,7 @@ def test_physics_is_bit_equal_to_a_loop_over_mj_step(scene, drive, num_threads):
             x, y, yaw = batched[step]["human_pose"][row].tolist()
             data.mocap_pos[human, :2] = x, y
             data.mocap_quat[human] = math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)
-            speed, turn = action
-            if drive == "planar":
-                data.ctrl[:] = speed, turn, 0.0
-            else:
-                half = env.robot.wheel_separation / 2
-                data.ctrl[:] = speed - half * turn, speed + half * turn
-                data.ctrl[:] /= env.robot.wheel_radius
+            data.ctrl[:2] = action
             mujoco.mj_step(model, data, nstep=env.frame_skip)
             contacts += data.ncon
             assert batched[step]["qpos"][row].tolist() == data.qpos.tolist(), (row, step)

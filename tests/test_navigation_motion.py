@@ -92,7 +92,7 @@ def test_wheels_grip_when_they_start_and_stop(robot):
     velocity, ctrl = env.batch.bind("qvel"), env.batch.bind("ctrl")
     speeds = []
     for command in (0.5, 0.0):
-        ctrl[:] = command / robot.wheel_radius
+        ctrl[:] = command, 0.0
         for _ in range(300):
             env.batch.step(nstep=1)
             speeds.append((velocity[0, :2] @ forward, velocity[0, wheel] * robot.wheel_radius))
@@ -101,6 +101,20 @@ def test_wheels_grip_when_they_start_and_stop(robot):
     assert np.abs(rim - base)[2:].max() < 0.02
     assert base[:300].max() < 0.505 and base[300:].min() > -0.005  # no overshoot
     assert base[299] == pytest.approx(0.5, abs=0.002) and abs(base[-1]) < 0.002
+
+
+@pytest.mark.parametrize("robot", ["turtlebot2", "hsr"])
+def test_wheels_turn_as_fast_as_the_planar_base(robot):
+    turned = []
+    for base in ("planar", "wheels"):
+        env = make_env(scene="empty", drive=base, robot=robot, num_rays=1)
+        start = env.reset()
+        pose = drive(env, start.clone(), (0.0, 1.0), 5)["pose"][0, :, 2]
+        turned.append((pose - start["pose"][0, 2]).remainder(2 * math.pi))
+    # What torque and friction take away in the first step stays; with the same time constant no more
+    # is lost.
+    lost = turned[0] - turned[1]
+    assert lost[0] < 0.04 and (lost - lost[0]).abs().max() < 0.01, lost
 
 
 def test_wheels_start_hardly_later_than_the_planar_base():
@@ -112,7 +126,7 @@ def test_wheels_start_hardly_later_than_the_planar_base():
             pose = drive(env, start.clone(), (0.5, 0.0), 5)["pose"][0, -1]
             distance.append(float((pose - start["pose"][0])[:2].norm()))
         # To 0.5 m/s at 3 m/s^2, what friction transmits: half of 0.5 m/s for a sixth of a second.
-        assert 0 < distance[0] - distance[1] < 0.042, robot
+        assert -0.001 < distance[0] - distance[1] < 0.042, robot
 
 
 def test_the_human_walks_half_a_metre_a_second_and_stops():
