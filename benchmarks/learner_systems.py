@@ -258,6 +258,7 @@ SYSTEMS: dict[str, System] = {
     "ours, float32": System(_ours, _SHIPPED.compute.compile),
     "ours, float32, eager": System(_ours),
     OURS_EQUAL: System(_with(_ours, *EQUAL_WORK), _SHIPPED.compute.compile),
+    "ours, equal work, eager": System(_with(_ours, *EQUAL_WORK)),
     "ours, equal work, delay 10": System(_with(_ours, *_DELAY_10), _SHIPPED.compute.compile),
     "bare loop": System(_bare, True, _SHIPPED.compute.matmul_precision),
     "bare loop, float32": System(_bare, True),

@@ -67,7 +67,7 @@ class NavigationEnv(BatchedMujocoEnv):
     Keyword Args:
         scene: a name from :data:`envs.SCENES` or a :class:`envs.Scene`.
         robot: a name from :data:`envs.ROBOTS` or a :class:`envs.Robot`.
-        drive: ``"planar"`` (velocity servos) or ``"wheels"`` (rolling contact, 15 times dearer,
+        drive: ``"planar"`` (velocity servos) or ``"wheels"`` (rolling contact, 4 to 5 times dearer,
             for sim-to-sim checks).
         goal_radius: distance between the robot's centre and the goal at which it is reached, m.
         num_rays: lidar rays per revolution.
