@@ -169,12 +169,12 @@ def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: 
         ValueError: for an unknown drive.
     """
     half_height = robot.height / 2
-    # A wheel carries half the mass at its rim. Its motor's rotor, behind its gears, is as much again:
-    # a wheel without it is so light that it turns before the base moves.
-    rotor = 0.5 * robot.mass * robot.wheel_radius**2
     inertia = 0.5 * robot.mass * robot.radius**2
     half_track = robot.wheel_separation / 2
-    rotors = 2 * rotor / robot.wheel_radius**2  # as a mass that moves with the floor's contacts
+    # A wheel carries half the mass at its rim. Its motor's rotor, behind its gears, is as much again:
+    # a wheel without it is so light that it turns before the base moves. So the servos move twice the
+    # mass, and what the rotors add to a turn sits at the wheels.
+    rotor = 0.5 * robot.mass * robot.wheel_radius**2
     caster_radius = 0.6 * robot.wheel_radius
     ground_clearance = 0.5 * robot.wheel_radius
     values = {
@@ -194,8 +194,8 @@ def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: 
         "armature": rotor,
         "half_radius": robot.wheel_radius / 2,
         "radius_per_track": robot.wheel_radius / robot.wheel_separation,
-        "kv_rolling": (robot.mass + rotors) / robot.linear_response,
-        "kv_rolling_turn": (inertia + rotors * half_track**2) / robot.angular_response,
+        "kv_rolling": 2 * robot.mass / robot.linear_response,
+        "kv_rolling_turn": (inertia + robot.mass * half_track**2) / robot.angular_response,
         "torque": 2 * rotor * _WHEEL_ACCELERATION / robot.wheel_radius,
     }
     base_height = half_height if drive == "planar" else 0.0

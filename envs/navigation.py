@@ -67,7 +67,7 @@ class NavigationEnv(BatchedMujocoEnv):
     Keyword Args:
         scene: a name from :data:`envs.SCENES` or a :class:`envs.Scene`.
         robot: a name from :data:`envs.ROBOTS` or a :class:`envs.Robot`.
-        drive: ``"planar"`` (velocity servos) or ``"wheels"`` (rolling contact, 4 to 5 times dearer,
+        drive: ``"planar"`` (velocity servos) or ``"wheels"`` (rolling contact, several times dearer,
             for sim-to-sim checks).
         goal_radius: distance between the robot's centre and the goal at which it is reached, m.
         num_rays: lidar rays per revolution.
@@ -123,10 +123,7 @@ class NavigationEnv(BatchedMujocoEnv):
         self.num_rays = num_rays
         self.max_range = max_range
         self.perturbation = get_perturbation(perturbation)
-        num_envs = kwargs.get("num_envs", 1)
-        self._scenes = SceneStream(
-            self.scene, self.robot.radius, num_envs, repeat_failed=repeat_failed
-        )
+        self.repeat_failed = repeat_failed
         # Faults draw from their own generator, so that switching them on leaves scenes unchanged.
         self._fault_rng = torch.Generator()
         super().__init__(
@@ -145,6 +142,9 @@ class NavigationEnv(BatchedMujocoEnv):
     # --- model and specs -----------------------------------------------------------------------
 
     def _make_model(self) -> mujoco.MjModel:
+        self._scenes = SceneStream(
+            self.scene, self.robot.radius, self.num_envs, repeat_failed=self.repeat_failed
+        )
         xml = navigation_mjcf(
             self.robot,
             drive=self.drive,

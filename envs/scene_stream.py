@@ -29,14 +29,12 @@ class SceneStream:
             once there is one.
 
     Raises:
-        ValueError: for a share that is not between 0 and 1, or no environments.
+        ValueError: for a share that is not between 0 and 1.
     """
 
     def __init__(
         self, scene: Scene, robot_radius: float, num_envs: int, *, repeat_failed: float = 0.0
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs must be at least 1, got {num_envs}.")
         if not 0.0 <= repeat_failed <= 1.0:
             raise ValueError(f"repeat_failed must be between 0 and 1, got {repeat_failed}.")
         self.scene = scene

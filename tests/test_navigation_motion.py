@@ -126,6 +126,7 @@ def test_wheels_start_hardly_later_than_the_planar_base():
             pose = drive(env, start.clone(), (0.5, 0.0), 5)["pose"][0, -1]
             distance.append(float((pose - start["pose"][0])[:2].norm()))
         # To 0.5 m/s at 3 m/s^2, what friction transmits: half of 0.5 m/s for a sixth of a second.
+        # The integrators differ, which lets the slow robot gain half a millimetre.
         assert -0.001 < distance[0] - distance[1] < 0.042, robot
 
 
