@@ -92,9 +92,9 @@ def test_writes_policies_that_load(polished):
     actor, space, card = load_policy(saved[-1])
     assert space == SPACE
     assert card["start"]["config"] == CONFIG
-    assert card["config"]["loss"]["lmbda"] == 0.9
+    assert card["config"]["loss"]["lmbda"] == 0.8
     # What was null is what the policy was trained in.
-    own = {"num_envs": 4, "num_threads": 1, "repeat_failed": 0.0}
+    own = {"num_envs": 4, "num_threads": 1, "repeat_failed": 0.15}
     assert card["config"]["env"] == CONFIG["env"] | own
     assert card["config"]["evaluation"]["scene"] == "static"
     before, *_ = load_policy(start)
@@ -187,15 +187,17 @@ def test_anchor_by_hand():
         return actor
 
     batch = TensorDict(
-        observation=torch.randn(2, 4),
-        preference=torch.tensor([[1.0, 0.0], [0.5, 0.5]]),
-        batch_size=[2],
+        observation=torch.randn(3, 4),
+        preference=torch.tensor([[1.0, 0.0], [0.5, 0.5], [1.0, 0.0]]),
+        human=torch.tensor([[2.4, 1.0], [0.5, -2.0], [2.6, 1.0]]),
+        batch_size=[3],
     )
-    # 0.2 apart, a standard deviation of 0.1: 2 nats, weighed by (1 + 1/8) / 2.
+    # 0.2 apart, a standard deviation of 0.1: 2 nats, weighed by 1, 1/8 and, where nobody is near, 0.
     batch["start_action"] = policy(0.1)(batch.clone())["action"].detach()
     action = policy(0.3)(batch.clone())["action"]
-    distance = utils.anchor(batch, action, sigma=torch.tensor([0.5, 0.1]), objective=0)
-    torch.testing.assert_close(distance, torch.tensor(1.125))
+    sigma = torch.tensor([0.5, 0.1])
+    distance = utils.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
+    torch.testing.assert_close(distance, torch.tensor(2 * 1.125 / 3))
 
 
 def test_smoothness_by_hand():
@@ -269,6 +271,7 @@ def test_gradients_go_where_they_belong():
         policy(data)
     MultiObjectiveGAE(gamma=0.9, lmbda=0.8, value_network=critic, preference_space=SPACE)(data)
     data["start_action"] = torch.zeros(6, 8, 2)
+    data["human"] = torch.ones(6, 8, 2)
     batch = data.reshape(-1).select(*utils.BATCH)
     losses = loss(batch)
 
@@ -286,7 +289,8 @@ def test_gradients_go_where_they_belong():
     action = actor(batch.select(*actor.in_keys))["action"]
     assert trained(utils.smoothness(batch, action, actor)) == {"actor"}
     sigma = torch.tensor([0.5, 0.1])
-    assert trained(utils.anchor(batch, action, sigma=sigma, objective=0)) == {"actor"}
+    held = utils.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
+    assert trained(held) == {"actor"}
 
 
 @pytest.mark.parametrize(
@@ -295,6 +299,7 @@ def test_gradients_go_where_they_belong():
         ("optim.batch_size=64", "optim.batch_size must lie between"),
         ("collector.exploration_sigma=[0.05,0]", "exploration_sigma must be positive"),
         ("loss.anchor_coeff=-1", "anchor_coeff must not be negative"),
+        ("loss.anchor_radius=-1", "anchor_radius must not be negative"),
         ("loss.smoothness_coeff=-1", "smoothness_coeff must not be negative"),
         ("loss.gamma=1.5", "loss.gamma must be in"),
         ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),

@@ -98,7 +98,11 @@ def main(cfg: DictConfig) -> None:
                         if demo is not None:
                             # The demonstrated style is a learned reward: see config.yaml.
                             metrics["anchor"] = utils.anchor(
-                                batch, action, sigma=sigma, objective=demo
+                                batch,
+                                action,
+                                sigma=sigma,
+                                objective=demo,
+                                radius=cfg.loss.anchor_radius,
                             )
                             loss_actor = loss_actor + cfg.loss.anchor_coeff * metrics["anchor"]
                         step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)

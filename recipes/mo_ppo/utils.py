@@ -38,6 +38,7 @@ BATCH = (
     "advantage",
     "value_target",
     "start_action",
+    "human",
     ("next", "observation"),
     ("next", "done"),
 )
@@ -66,7 +67,7 @@ def check(cfg: DictConfig) -> None:
             "collector.exploration_sigma must be positive, for speed and turn rate, since without "
             f"noise there is nothing to compare, got {sigma}."
         )
-    for name in ("anchor_coeff", "smoothness_coeff"):
+    for name in ("anchor_coeff", "anchor_radius", "smoothness_coeff"):
         if cfg.loss[name] < 0:
             raise ValueError(f"loss.{name} must not be negative, got {cfg.loss[name]}.")
 
@@ -191,22 +192,27 @@ def make_loss(
     return loss
 
 
-def anchor(batch: TensorDictBase, action: Tensor, *, sigma: Tensor, objective: int) -> Tensor:
+def anchor(
+    batch: TensorDictBase, action: Tensor, *, sigma: Tensor, objective: int, radius: float
+) -> Tensor:
     """How far a policy has gone from the one it started as, in nats, where an objective matters.
 
-    A mean, weighed by the cube of the weight of the objective: it holds a corner of the preferences
-    and leaves the middle free.
+    A mean over the transitions, weighed by the cube of the weight of the objective: it holds a corner
+    of the preferences and leaves the middle free. Far from the human it holds nothing: styles differ
+    in how a person is passed, and the rest of the way only has to be driven well.
 
     Args:
-        batch: of transitions, with the ``start_action`` of the policy at the start.
+        batch: of transitions, with the ``start_action`` of the policy at the start, and ``human``.
         action: the mean of the policy there, ``[*B, A]``.
 
     Keyword Args:
         sigma: standard deviations of both, see :func:`make_policy`.
         objective: the place of the weight in the preference.
+        radius: around the human, metres.
     """
     divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
-    return (batch["preference"][..., objective] ** 3 * divergence).mean()
+    weight = batch["preference"][..., objective] ** 3 * (batch["human"][..., 0] < radius)
+    return (weight * divergence).mean()
 
 
 def smoothness(batch: TensorDictBase, action: Tensor, actor: TensorDictSequential) -> Tensor:
