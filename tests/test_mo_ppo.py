@@ -137,6 +137,7 @@ def test_anchor_holds_a_policy_with_demonstrations(tmp_path):
             start,
             f"demonstrations.reward_model={tmp_path / 'model'}",
             f"loss.anchor_coeff={coefficient}",
+            "loss.anchor_radius=100",  # everywhere: few of these short episodes meet the human
             *("optim.lr=1e-2", "collector.total_frames=320", "evaluation.interval=320"),
         )
         rows = (folder / "log_csv/scalars/train/anchor.csv").read_text().split()

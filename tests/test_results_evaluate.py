@@ -219,6 +219,15 @@ def test_systems_from_the_command_line(tmp_path):
     assert straight.members[0].actor("hsr").scaled
 
 
+def test_polished_policies_are_told_apart_by_the_training_before(tmp_path):
+    folders = [
+        save(tmp_path / name, 5, start={"config": {}, "start": {"config": {"seed": seed}}})
+        for name, seed in (("a", 1), ("b", 2))
+    ]
+    system = load_system("OUR=" + ",".join(map(str, folders)))
+    assert [member.seed for member in system.members] == [1, 2]
+
+
 def test_a_policy_without_the_human_is_driven_without_it(tmp_path):
     card = {"config": {"seed": 0, "env": {"observe_human": False, "num_envs": 8}}}
     system = load_system(f"NH={save(tmp_path / 'p', 0, **card)}")

@@ -28,7 +28,7 @@ class Member:
     """One training of a system, or the only one of what was not trained.
 
     Args:
-        seed: of the training.
+        seed: of the training; of a polished policy, of the training that it started from.
         actor: makes the actor for a robot of that name, writing actions in [-1, 1].
         source: where it comes from, for the record: a folder and a hash of the weights.
         observed: what it observes, arguments of :func:`envs.policy_env.make_policy_env`.
@@ -116,7 +116,7 @@ def load_system(argument: str) -> System:
     members, facts = [], []
     for place, folder in enumerate(map(Path, folders.split(","))):
         actor, space, card = load_policy(folder)
-        seed = card.get("config", {}).get("seed", place)
+        seed = _first_training(card).get("config", {}).get("seed", place)
         digest = hashlib.sha256((folder / "policy.safetensors").read_bytes()).hexdigest()
         source = f"{folder} sha256 {digest[:16]}"
         members.append(Member(seed, lambda _, actor=actor: actor, source, observed_by(card)))
@@ -128,3 +128,10 @@ def load_system(argument: str) -> System:
         )
     space, shown, ignored = facts[0]
     return System(name, tuple(members), space, shown, ignored)
+
+
+def _first_training(card: dict[str, Any]) -> dict[str, Any]:
+    """The card of the policy that was not polished yet."""
+    while "start" in card:
+        card = card["start"]
+    return card
