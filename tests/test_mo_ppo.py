@@ -38,7 +38,7 @@ CONFIG = {
 TINY = (
     # Settings of the process: other tests run in it.
     "compute.torch_threads=1",
-    "compute.matmul_precision=highest",
+    "compute.bfloat16=false",
     "env.num_threads=1",
     "env.num_envs=4",
     "collector.frames_per_batch=32",
@@ -163,7 +163,7 @@ def test_smoothness_steadies_a_policy(polished, tmp_path):
 
 def test_likelihood_and_bounds():
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
-    noisy, policy = utils.make_policy(actor, torch.tensor([0.5, 0.25]))
+    _, noisy, policy = utils.make_policy(actor, torch.tensor([0.5, 0.25]))
     data = TensorDict(
         observation=torch.randn(200, 4), preference=torch.rand(200, 2), batch_size=[200]
     )
@@ -193,12 +193,18 @@ def test_anchor_by_hand():
         human=torch.tensor([[2.4, 1.0], [0.5, -2.0], [2.6, 1.0]]),
         batch_size=[3],
     )
-    # 0.2 apart, a standard deviation of 0.1: 2 nats, weighed by 1, 1/8 and, where nobody is near, 0.
+    # 0.2 apart, a standard deviation of 0.1: 2 nats, of which ln(1 + 2), weighed by 1, 1/8 and, where
+    # nobody is near, 0.
     batch["start_action"] = policy(0.1)(batch.clone())["action"].detach()
     action = policy(0.3)(batch.clone())["action"]
     sigma = torch.tensor([0.5, 0.1])
     distance = utils.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
-    torch.testing.assert_close(distance, torch.tensor(2 * 1.125 / 3))
+    torch.testing.assert_close(distance, torch.tensor(math.log(3) * 1.125 / 3))
+    # Ten times as far is a hundred times as many nats, and costs less than five times as much.
+    far = utils.anchor(
+        batch, 10 * action - 9 * batch["start_action"], sigma=sigma, objective=0, radius=2.5
+    )
+    torch.testing.assert_close(far / distance, torch.tensor(math.log(201) / math.log(3)))
 
 
 def test_smoothness_by_hand():
@@ -232,21 +238,50 @@ def test_failures_are_the_episodes_that_end_elsewhere():
     assert math.isnan(rate([False] * 4, [False] * 4))
 
 
-def test_evaluations_are_in_float32():
-    torch.set_float32_matmul_precision("medium")
-    try:
-        with pytest.raises(KeyError), utils.full_precision():
-            assert torch.get_float32_matmul_precision() == "highest"
-            raise KeyError
-        assert torch.get_float32_matmul_precision() == "medium"
-    finally:
-        torch.set_float32_matmul_precision("highest")
+def test_bfloat16_rounds_layers_and_not_actions():
+    torch.manual_seed(0)
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+    with torch.no_grad():
+        actor[0].module[-1].bias.fill_(3.0)  # tanh 0.9951, between two numbers of bfloat16
+    mean, noisy, _ = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+    data = TensorDict(observation=torch.randn(50, 4), preference=torch.rand(50, 2), batch_size=[50])
+    exact = actor(data.clone())["action"]
+    with torch.autocast("cpu", torch.bfloat16):
+        rounded = mean(data.clone())
+        density = noisy.get_dist(data.clone()).log_prob(exact)
+    assert rounded["action"].dtype == rounded["pre_tanh"].dtype == density.dtype == torch.float32
+    assert not torch.equal(rounded["action"], exact)
+    torch.testing.assert_close(rounded["action"], exact, atol=3e-4, rtol=0)
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_bfloat16_as_asked_for(given):
+    cfg = configuration(f"compute.bfloat16={given}")
+    assert utils.use_bfloat16(cfg, torch.device("cpu")) is given
+
+
+@pytest.mark.parametrize("feature", ["avx512_bf16", "amx_bf16", None])
+def test_bfloat16_where_the_processor_has_it(feature, monkeypatch):
+    found = dict.fromkeys(("avx512_bf16", "amx_bf16"), False) | {feature: True}
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: found)
+    cfg = configuration("compute.bfloat16=null")
+    assert utils.use_bfloat16(cfg, torch.device("cpu")) is (feature is not None)
+
+
+def test_trains_in_bfloat16(polished, tmp_path):
+    start, folder = polished
+    rounded = run(tmp_path / "run", start, "compute.bfloat16=true")
+    name = "policies/000000128"
+    weights = [load_policy(path / name)[0].state_dict() for path in (folder, rounded)]
+    assert all(value.dtype == torch.float32 for value in weights[1].values())
+    moved = [torch.equal(weights[0][key], weights[1][key]) for key in weights[0]]
+    assert not all(moved)
 
 
 def test_gradients_go_where_they_belong():
     torch.manual_seed(0)
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
-    noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+    mean, noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
     critic = make_vector_critic(
         3,
         in_features=4 + 2,
@@ -287,8 +322,8 @@ def test_gradients_go_where_they_belong():
 
     assert trained(losses["loss_objective"]) == {"actor"}
     assert trained(losses["loss_critic"]) == {"critic"}
-    action = actor(batch.select(*actor.in_keys))["action"]
-    assert trained(utils.smoothness(batch, action, actor)) == {"actor"}
+    action = mean(batch.select(*mean.in_keys))["action"]
+    assert trained(utils.smoothness(batch, action, mean)) == {"actor"}
     sigma = torch.tensor([0.5, 0.1])
     held = utils.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
     assert trained(held) == {"actor"}
@@ -305,6 +340,7 @@ def test_gradients_go_where_they_belong():
         ("loss.gamma=1.5", "loss.gamma must be in"),
         ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),
         ("optim.batch_size=0", "optim.batch_size must lie between"),
+        ("optim.penalty_batch_size=0", "penalty_batch_size must be at least 1, got 0"),
         ("env.observe_human=false", "observations of 36 entries, here they have 33"),
         ("policy=nowhere", "nowhere"),
     ],

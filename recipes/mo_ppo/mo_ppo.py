@@ -41,13 +41,14 @@ def main(cfg: DictConfig) -> None:
     # The policy is noise around the actor; the noise is all that PPO adds to it.
     actor = copy.deepcopy(start).requires_grad_(True)
     sigma = torch.tensor(list(cfg.collector.exploration_sigma), device=task.device)
-    noisy, policy = utils.make_policy(actor, sigma)
+    mean, noisy, policy = utils.make_policy(actor, sigma)
     critic = utils.make_critic(cfg, task)
     advantage = utils.make_advantage(cfg, task, critic)
     loss = utils.make_loss(cfg, noisy, critic)
     averaged = make_averaged(cfg, actor)
     optimizers, schedulers = utils.make_optimizers(cfg, loss)
     replay_buffer = utils.make_replay_buffer(cfg, task)
+    bfloat16 = utils.use_bfloat16(cfg, task.device)
     env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
     demo = task.space.tunable.index("demo") if "demo" in task.space.tunable else None
     # Nothing is written before the configuration has been accepted.
@@ -86,25 +87,28 @@ def main(cfg: DictConfig) -> None:
         for _ in range(cfg.optim.epochs):
             for batch in replay_buffer:
                 with timeit("update"):
-                    losses = loss(batch)
-                    step(optimizers["critic"], losses["loss_critic"], cfg.optim.max_grad_norm)
-                    if trains_actor:
+                    with torch.autocast(task.device.type, torch.bfloat16, enabled=bfloat16):
+                        losses = loss(batch)
                         loss_actor = losses["loss_objective"]
-                        action = actor(batch.select(*actor.in_keys))["action"]
+                        # Penalties are smooth: a part of the batch, which is shuffled, will do.
+                        part = batch[: cfg.optim.penalty_batch_size]
+                        action = mean(part.select(*mean.in_keys))["action"]
                         if cfg.loss.smoothness_coeff:
-                            metrics["smoothness"] = utils.smoothness(batch, action, actor)
+                            metrics["smoothness"] = utils.smoothness(part, action, mean)
                             penalty = cfg.loss.smoothness_coeff * metrics["smoothness"]
                             loss_actor = loss_actor + penalty
                         if demo is not None:
                             # The demonstrated style is a learned reward: see config.yaml.
                             metrics["anchor"] = utils.anchor(
-                                batch,
+                                part,
                                 action,
                                 sigma=sigma,
                                 objective=demo,
                                 radius=cfg.loss.anchor_radius,
                             )
                             loss_actor = loss_actor + cfg.loss.anchor_coeff * metrics["anchor"]
+                    step(optimizers["critic"], losses["loss_critic"], cfg.optim.max_grad_norm)
+                    if trains_actor:
                         step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
                         averaged.update_parameters(actor)
                 metrics |= losses
@@ -117,7 +121,7 @@ def main(cfg: DictConfig) -> None:
 
         last = frames >= cfg.collector.total_frames
         if last or crossed(cfg.evaluation.interval, collected, frames):
-            with timeit("evaluate"), utils.full_precision():
+            with timeit("evaluate"):
                 result = evaluation.evaluate(
                     cfg, task.eval_env, averaged.module, task.space, task.demonstration
                 )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -60,6 +58,10 @@ def check(cfg: DictConfig) -> None:
         raise ValueError(
             "optim.batch_size must lie between 1 and collector.frames_per_batch, "
             f"{cfg.collector.frames_per_batch}, got {cfg.optim.batch_size}."
+        )
+    if cfg.optim.penalty_batch_size < 1:
+        raise ValueError(
+            f"optim.penalty_batch_size must be at least 1, got {cfg.optim.penalty_batch_size}."
         )
     sigma = list(cfg.collector.exploration_sigma)
     if len(sigma) != 2 or min(sigma) <= 0:
@@ -118,7 +120,7 @@ def check_start(
 
 def make_policy(
     actor: TensorDictSequential, sigma: Tensor
-) -> tuple[ProbabilisticTensorDictSequential, TensorDictSequential]:
+) -> tuple[TensorDictSequential, ProbabilisticTensorDictSequential, TensorDictSequential]:
     """A normal variable around the action of an actor, with its own layers.
 
     Noise on the action and not before its tanh: where the tanh saturates, steps that hardly change
@@ -129,11 +131,17 @@ def make_policy(
         sigma: standard deviation of each entry, in units of half its range, ``[A]``.
 
     Returns:
-        The probabilistic part, which writes ``noisy_action``, and the same followed by the bounds,
-        which writes ``action``.
+        The mean, which writes ``action`` in float32 also where its layers compute in bfloat16; the
+        probabilistic part, which writes ``noisy_action`` as well; and that followed by the bounds,
+        which writes ``action`` anew.
     """
+    layers, tanh = actor
+    (pre_tanh,) = layers.out_keys
+    # Near the bounds bfloat16 knows no values between 0.992, 0.996 and 1.
+    cast = TensorDictModule(Tensor.float, in_keys=[pre_tanh], out_keys=[pre_tanh])
+    mean = TensorDictSequential(layers, cast, tanh)
     noisy = ProbabilisticTensorDictSequential(
-        actor,
+        mean,
         TensorDictModule(sigma.expand_as, in_keys=["action"], out_keys=["scale"]),
         ProbabilisticTensorDictModule(
             in_keys={"loc": "action", "scale": "scale"},
@@ -145,7 +153,7 @@ def make_policy(
     bounds = TensorDictModule(
         partial(torch.clamp, min=-1.0, max=1.0), in_keys=["noisy_action"], out_keys=["action"]
     )
-    return noisy, TensorDictSequential(noisy, bounds)
+    return mean, noisy, TensorDictSequential(noisy, bounds)
 
 
 def make_critic(cfg: DictConfig, task: Task) -> TensorDictModule:
@@ -195,7 +203,12 @@ def make_loss(
 def anchor(
     batch: TensorDictBase, action: Tensor, *, sigma: Tensor, objective: int, radius: float
 ) -> Tensor:
-    """How far a policy has gone from the one it started as, in nats, where an objective matters.
+    """How far a policy has gone from the one it started as, where an objective matters.
+
+    The logarithm of one plus the divergence in nats, which is the Cauchy loss of Barron
+    (https://arxiv.org/abs/1701.03077) of the change in standard deviations: small changes everywhere,
+    of which a style is made, cost what they diverge; a decision that was wrong, as to stand still or
+    on which side to pass, may change, which would cost hundreds of nats.
 
     A mean over the transitions, weighed by the cube of the weight of the objective: it holds a corner
     of the preferences and leaves the middle free. Far from the human it holds nothing: styles differ
@@ -212,7 +225,7 @@ def anchor(
     """
     divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
     weight = batch["preference"][..., objective] ** 3 * (batch["human"][..., 0] < radius)
-    return (weight * divergence).mean()
+    return (weight * divergence.log1p()).mean()
 
 
 def smoothness(batch: TensorDictBase, action: Tensor, actor: TensorDictSequential) -> Tensor:
@@ -242,15 +255,14 @@ def failure_rate(data: TensorDictBase) -> Tensor:
     return (ended & ~data["next", "success"]).sum() / ended.sum()
 
 
-@contextlib.contextmanager
-def full_precision() -> Iterator[None]:
-    """Matrix products in float32, as in every other evaluation of a policy."""
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("highest")
-    try:
-        yield
-    finally:
-        torch.set_float32_matmul_precision(before)
+def use_bfloat16(cfg: DictConfig, device: torch.device) -> bool:
+    """Whether updates compute in bfloat16: as configured, else where the processor multiplies it."""
+    if cfg.compute.bfloat16 is not None:
+        return cfg.compute.bfloat16
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    capabilities = torch.cpu.get_capabilities()
+    return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
 
 
 def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
