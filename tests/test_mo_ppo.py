@@ -138,7 +138,8 @@ def test_anchor_holds_a_policy_with_demonstrations(tmp_path):
             f"demonstrations.reward_model={tmp_path / 'model'}",
             f"loss.anchor_coeff={coefficient}",
             "loss.anchor_radius=100",  # everywhere: few of these short episodes meet the human
-            *("optim.lr=1e-2", "collector.total_frames=320", "evaluation.interval=320"),
+            *("optim.lr=1e-2", "optim.epochs=3"),
+            *("collector.total_frames=320", "evaluation.interval=320"),
         )
         rows = (folder / "log_csv/scalars/train/anchor.csv").read_text().split()
         moved.append(float(rows[-1].split(",")[-1]))
@@ -153,7 +154,8 @@ def test_smoothness_steadies_a_policy(polished, tmp_path):
             tmp_path / str(coefficient),
             start,
             f"loss.smoothness_coeff={coefficient}",
-            *("optim.lr=1e-2", "collector.total_frames=320", "evaluation.interval=320"),
+            *("optim.lr=1e-2", "optim.epochs=3"),
+            *("collector.total_frames=320", "evaluation.interval=320"),
         )
         rows = (folder / "log_csv/scalars/train/smoothness.csv").read_text().split()
         changes.append(float(rows[-1].split(",")[-1]))
@@ -268,10 +270,13 @@ def test_bfloat16_where_the_processor_has_it(feature, monkeypatch):
     assert utils.use_bfloat16(cfg, torch.device("cpu")) is (feature is not None)
 
 
-def test_trains_in_bfloat16(polished, tmp_path):
+def test_trains_in_bfloat16(polished, tmp_path, monkeypatch):
     start, folder = polished
-    rounded = run(tmp_path / "run", start, "compute.bfloat16=true")
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
+    rounded = run(tmp_path / "run", start, "compute.bfloat16=null")
     name = "policies/000000128"
+    cards = [load_policy(path / name)[2] for path in (folder, rounded)]
+    assert [card["config"]["compute"]["bfloat16"] for card in cards] == [False, True]
     weights = [load_policy(path / name)[0].state_dict() for path in (folder, rounded)]
     assert all(value.dtype == torch.float32 for value in weights[1].values())
     moved = [torch.equal(weights[0][key], weights[1][key]) for key in weights[0]]

@@ -48,7 +48,9 @@ def main(cfg: DictConfig) -> None:
     averaged = make_averaged(cfg, actor)
     optimizers, schedulers = utils.make_optimizers(cfg, loss)
     replay_buffer = utils.make_replay_buffer(cfg, task)
-    bfloat16 = utils.use_bfloat16(cfg, task.device)
+    # In the card of a policy stands what it was trained in.
+    cfg.compute.bfloat16 = utils.use_bfloat16(cfg, task.device)
+    precision = torch.autocast(task.device.type, torch.bfloat16, enabled=cfg.compute.bfloat16)
     env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
     demo = task.space.tunable.index("demo") if "demo" in task.space.tunable else None
     # Nothing is written before the configuration has been accepted.
@@ -87,7 +89,7 @@ def main(cfg: DictConfig) -> None:
         for _ in range(cfg.optim.epochs):
             for batch in replay_buffer:
                 with timeit("update"):
-                    with torch.autocast(task.device.type, torch.bfloat16, enabled=bfloat16):
+                    with precision:
                         losses = loss(batch)
                         loss_actor = losses["loss_objective"]
                         # Penalties are smooth: a part of the batch, which is shuffled, will do.
