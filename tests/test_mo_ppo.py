@@ -240,6 +240,34 @@ def test_failures_are_the_episodes_that_end_elsewhere():
     assert math.isnan(rate([False] * 4, [False] * 4))
 
 
+def test_interpolated_by_hand():
+    def policy(seed: int):
+        torch.manual_seed(seed)
+        return make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+
+    start, end = policy(0), policy(1)
+    kept = [value.clone() for value in (*start.parameters(), *end.parameters())]
+    between = utils.interpolated(start, end, 0.25)
+    for value, a, b in zip(between.parameters(), start.parameters(), end.parameters(), strict=True):
+        torch.testing.assert_close(value, 0.75 * a + 0.25 * b)
+    assert torch.equal(between[1].action_high, end[1].action_high)
+    for value, a in zip(utils.interpolated(start, start, 0.7).parameters(), start.parameters()):
+        assert torch.equal(value, a)
+    for value, b in zip(utils.interpolated(start, end, 1.0).parameters(), end.parameters()):
+        torch.testing.assert_close(value, b)
+    assert all(map(torch.equal, kept, (*start.parameters(), *end.parameters())))
+
+
+def test_saves_what_lies_between(polished, tmp_path):
+    start, _ = polished
+    weights = {"0": load_policy(start)[0].state_dict()}
+    for share in ("0.5", "1.0"):
+        folder = run(tmp_path / share, start, f"optim.interpolation={share}")
+        weights[share] = load_policy(folder / "policies" / "000000128")[0].state_dict()
+    for name, value in weights["0.5"].items():
+        torch.testing.assert_close(value, (weights["0"][name] + weights["1.0"][name]) / 2)
+
+
 def test_bfloat16_rounds_layers_and_not_actions():
     torch.manual_seed(0)
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
@@ -345,6 +373,8 @@ def test_gradients_go_where_they_belong():
         ("loss.gamma=1.5", "loss.gamma must be in"),
         ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),
         ("optim.batch_size=0", "optim.batch_size must lie between"),
+        ("optim.interpolation=0", "optim.interpolation must be greater than 0"),
+        ("optim.interpolation=1.2", "and at most 1, got 1.2"),
         ("optim.penalty_batch_size=0", "penalty_batch_size must be at least 1, got 0"),
         ("env.observe_human=false", "observations of 36 entries, here they have 33"),
         ("policy=nowhere", "nowhere"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from functools import partial
 from typing import Any
 
@@ -68,6 +69,11 @@ def check(cfg: DictConfig) -> None:
         raise ValueError(
             "collector.exploration_sigma must be positive, for speed and turn rate, since without "
             f"noise there is nothing to compare, got {sigma}."
+        )
+    if not 0 < cfg.optim.interpolation <= 1:
+        raise ValueError(
+            "optim.interpolation must be greater than 0, which is the policy at the start, and at "
+            f"most 1, got {cfg.optim.interpolation}."
         )
     for name in ("anchor_coeff", "anchor_radius", "smoothness_coeff"):
         if cfg.loss[name] < 0:
@@ -263,6 +269,28 @@ def use_bfloat16(cfg: DictConfig, device: torch.device) -> bool:
         return torch.cuda.is_bf16_supported(including_emulation=False)
     capabilities = torch.cpu.get_capabilities()
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
+
+
+def interpolated(
+    start: TensorDictSequential, end: TensorDictSequential, share: float
+) -> TensorDictSequential:
+    """A policy whose weights lie between those of two.
+
+    After Wortsman et al. (https://arxiv.org/abs/2109.01903): between a network and what it became by
+    further training lie networks that have nearly all of what was gained, and lost less of the rest,
+    here of the demonstrated style.
+
+    Args:
+        start: before.
+        end: after, of the same sizes.
+        share: 0 gives the one before, 1 the one after.
+    """
+    between = copy.deepcopy(end)
+    with torch.no_grad():
+        for value, before in zip(between.parameters(), start.parameters(), strict=True):
+            # Exact where nothing has changed.
+            value.copy_(torch.lerp(before, value, share))
+    return between
 
 
 def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
