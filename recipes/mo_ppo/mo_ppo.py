@@ -91,28 +91,18 @@ def main(cfg: DictConfig) -> None:
                 with timeit("update"):
                     with precision:
                         losses = loss(batch)
-                        loss_actor = losses["loss_objective"]
-                        # Penalties are smooth: a part of the batch, which is shuffled, will do.
-                        part = batch[: cfg.optim.penalty_batch_size]
-                        action = mean(part.select(*mean.in_keys))["action"]
-                        if cfg.loss.smoothness_coeff:
-                            metrics["smoothness"] = utils.smoothness(part, action, mean)
-                            penalty = cfg.loss.smoothness_coeff * metrics["smoothness"]
-                            loss_actor = loss_actor + penalty
-                        if demo is not None:
-                            # The demonstrated style is a learned reward: see config.yaml.
-                            metrics["anchor"] = utils.anchor(
-                                part,
-                                action,
-                                sigma=sigma,
-                                objective=demo,
-                                radius=cfg.loss.anchor_radius,
-                            )
-                            loss_actor = loss_actor + cfg.loss.anchor_coeff * metrics["anchor"]
                     step(optimizers["critic"], losses["loss_critic"], cfg.optim.max_grad_norm)
                     if trains_actor:
+                        # Penalties are smooth: a part of the batch, which is shuffled, will do.
+                        part = batch[: cfg.optim.penalty_batch_size]
+                        with precision:
+                            penalties = utils.penalties(cfg, part, mean, sigma=sigma, demo=demo)
+                        loss_actor = losses["loss_objective"]
+                        for name, penalty in penalties.items():
+                            loss_actor = loss_actor + cfg.loss[f"{name}_coeff"] * penalty
                         step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
                         averaged.update_parameters(actor)
+                        metrics |= penalties
                 metrics |= losses
         if trains_actor:
             for scheduler in schedulers.values():

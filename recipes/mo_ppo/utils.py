@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import (
     ProbabilisticTensorDictModule,
     ProbabilisticTensorDictSequential,
@@ -206,6 +206,39 @@ def make_loss(
     return loss
 
 
+def penalties(
+    cfg: DictConfig,
+    batch: TensorDictBase,
+    mean: TensorDictSequential,
+    *,
+    sigma: Tensor,
+    demo: int | None,
+) -> dict[str, Tensor]:
+    """What an actor pays for beside its returns: :func:`smoothness` and :func:`anchor`.
+
+    Args:
+        cfg: the configuration.
+        batch: of transitions.
+        mean: of the policy, see :func:`make_policy`.
+
+    Keyword Args:
+        sigma: standard deviations of the policy.
+        demo: the place of the demonstrated style in the preference; ``None`` without demonstrations.
+
+    Returns:
+        Of those that are asked for, before their coefficients.
+    """
+    action = mean(batch.select(*mean.in_keys))["action"]
+    found = {}
+    if cfg.loss.smoothness_coeff:
+        found["smoothness"] = smoothness(batch, action, mean)
+    if demo is not None:
+        # The demonstrated style is a learned reward: see config.yaml.
+        radius = cfg.loss.anchor_radius
+        found["anchor"] = anchor(batch, action, sigma=sigma, objective=demo, radius=radius)
+    return found
+
+
 def anchor(
     batch: TensorDictBase, action: Tensor, *, sigma: Tensor, objective: int, radius: float
 ) -> Tensor:
@@ -286,10 +319,7 @@ def interpolated(
         share: 0 gives the one before, 1 the one after.
     """
     between = copy.deepcopy(end)
-    with torch.no_grad():
-        for value, before in zip(between.parameters(), start.parameters(), strict=True):
-            # Exact where nothing has changed.
-            value.copy_(torch.lerp(before, value, share))
+    TensorDict.from_module(between).data.lerp_(TensorDict.from_module(start).data, 1 - share)
     return between
 
 

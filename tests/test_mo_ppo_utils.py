@@ -1,0 +1,202 @@
+"""The parts of MO-PPO by hand: its policy, anchor, smoothness, precision and what it saves."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hydra import compose, initialize_config_module
+from omegaconf import DictConfig
+from tensordict import TensorDict
+from torchrl.data import Bounded
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from envs import NavigationEnv
+from recipes.mo_ppo import utils
+from torchrl_morl import PreferenceSpace
+from torchrl_morl.modules import make_actor, make_vector_critic
+from torchrl_morl.objectives import MultiObjectiveGAE
+
+SPACE = PreferenceSpace(NavigationEnv.objectives, static={"core": 1.0})
+
+
+def configuration(*overrides: str) -> DictConfig:
+    with initialize_config_module("recipes.mo_ppo", version_base="1.3"):
+        return compose("config", overrides=list(overrides))
+
+
+def test_likelihood_and_bounds():
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+    _, noisy, policy = utils.make_policy(actor, torch.tensor([0.5, 0.25]))
+    data = TensorDict(
+        observation=torch.randn(200, 4), preference=torch.rand(200, 2), batch_size=[200]
+    )
+    with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
+        drawn = policy(data.clone())
+        mean = actor(data.clone())["action"]
+    z = (drawn["noisy_action"] - mean) / torch.tensor([0.5, 0.25])
+    expected = -0.5 * z.square().sum(-1) - math.log(0.5) - math.log(0.25) - math.log(2 * math.pi)
+    torch.testing.assert_close(drawn["noisy_action_log_prob"], expected)
+    torch.testing.assert_close(drawn["action"], drawn["noisy_action"].clamp(-1, 1))
+    assert (drawn["noisy_action"].abs() > 1).any()
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        torch.testing.assert_close(noisy(data.clone())["noisy_action"], mean)
+
+
+def test_anchor_by_hand():
+    def policy(turn: float):
+        actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+        with torch.no_grad():
+            actor[0].module[-1].weight.zero_()
+            actor[0].module[-1].bias.copy_(torch.tensor([0.0, turn]).atanh())
+        return actor
+
+    batch = TensorDict(
+        observation=torch.randn(3, 4),
+        preference=torch.tensor([[1.0, 0.0], [0.5, 0.5], [1.0, 0.0]]),
+        human=torch.tensor([[2.4, 1.0], [0.5, -2.0], [2.6, 1.0]]),
+        batch_size=[3],
+    )
+    # 0.2 apart, a standard deviation of 0.1: 2 nats, of which ln(1 + 2), weighed by 1, 1/8 and, where
+    # nobody is near, 0.
+    batch["start_action"] = policy(0.1)(batch.clone())["action"].detach()
+    action = policy(0.3)(batch.clone())["action"]
+    sigma = torch.tensor([0.5, 0.1])
+    distance = utils.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
+    torch.testing.assert_close(distance, torch.tensor(math.log(3) * 1.125 / 3))
+    # Ten times as far is a hundred times as many nats, and costs less than five times as much.
+    far = utils.anchor(
+        batch, 10 * action - 9 * batch["start_action"], sigma=sigma, objective=0, radius=2.5
+    )
+    torch.testing.assert_close(far / distance, torch.tensor(math.log(201) / math.log(3)))
+
+
+def test_smoothness_by_hand():
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=1 + 2, num_cells=())
+    with torch.no_grad():
+        actor[0].module[-1].weight.copy_(torch.tensor([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    seen = torch.tensor([[0.1], [0.1], [0.5], [0.0]]).atanh()
+    later = torch.tensor([[0.4], [0.4], [0.5], [-0.1]]).atanh()
+    batch = TensorDict(
+        observation=seen,
+        preference=torch.rand(4, 2),
+        next=TensorDict(
+            observation=later,
+            done=torch.tensor([[False], [True], [False], [False]]),
+            batch_size=[4],
+        ),
+        batch_size=[4],
+    )
+    # The second episode ends: what follows is another one.
+    change = utils.smoothness(batch, actor(batch.clone())["action"], actor)
+    torch.testing.assert_close(change, torch.tensor((0.09 + 0.01) / 4))
+    assert "action" not in batch.keys()
+
+
+def test_failures_are_the_episodes_that_end_elsewhere():
+    def rate(done: list[bool], success: list[bool]) -> float:
+        ends = TensorDict(done=torch.tensor(done), success=torch.tensor(success), batch_size=[4])
+        return utils.failure_rate(TensorDict(next=ends, batch_size=[4])).item()
+
+    assert rate([True, True, False, True], [True, False, False, True]) == pytest.approx(1 / 3)
+    assert math.isnan(rate([False] * 4, [False] * 4))
+
+
+def test_interpolated_by_hand():
+    def policy(seed: int):
+        torch.manual_seed(seed)
+        return make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+
+    start, end = policy(0), policy(1)
+    kept = [value.clone() for value in (*start.parameters(), *end.parameters())]
+    between = utils.interpolated(start, end, 0.25)
+    for value, a, b in zip(between.parameters(), start.parameters(), end.parameters(), strict=True):
+        torch.testing.assert_close(value, 0.75 * a + 0.25 * b)
+    assert torch.equal(between[1].action_high, end[1].action_high)
+    for value, a in zip(utils.interpolated(start, start, 0.7).parameters(), start.parameters()):
+        assert torch.equal(value, a)
+    for value, b in zip(utils.interpolated(start, end, 1.0).parameters(), end.parameters()):
+        torch.testing.assert_close(value, b)
+    assert all(map(torch.equal, kept, (*start.parameters(), *end.parameters())))
+
+
+def test_bfloat16_rounds_layers_and_not_actions():
+    torch.manual_seed(0)
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+    with torch.no_grad():
+        actor[0].module[-1].bias.fill_(3.0)  # tanh 0.9951, between two numbers of bfloat16
+    mean, noisy, _ = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+    data = TensorDict(observation=torch.randn(50, 4), preference=torch.rand(50, 2), batch_size=[50])
+    exact = actor(data.clone())["action"]
+    with torch.autocast("cpu", torch.bfloat16):
+        rounded = mean(data.clone())
+        density = noisy.get_dist(data.clone()).log_prob(exact)
+    assert rounded["action"].dtype == rounded["pre_tanh"].dtype == density.dtype == torch.float32
+    assert not torch.equal(rounded["action"], exact)
+    torch.testing.assert_close(rounded["action"], exact, atol=3e-4, rtol=0)
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_bfloat16_as_asked_for(given):
+    cfg = configuration(f"compute.bfloat16={given}")
+    assert utils.use_bfloat16(cfg, torch.device("cpu")) is given
+
+
+@pytest.mark.parametrize("feature", ["avx512_bf16", "amx_bf16", None])
+def test_bfloat16_where_the_processor_has_it(feature, monkeypatch):
+    found = dict.fromkeys(("avx512_bf16", "amx_bf16"), False) | {feature: True}
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: found)
+    cfg = configuration("compute.bfloat16=null")
+    assert utils.use_bfloat16(cfg, torch.device("cpu")) is (feature is not None)
+
+
+def test_gradients_go_where_they_belong():
+    torch.manual_seed(0)
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+    mean, noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+    critic = make_vector_critic(
+        3,
+        in_features=4 + 2,
+        in_keys=("observation", "preference"),
+        num_cells=(8,),
+        out_key="state_value",
+    )
+    loss = utils.make_loss(configuration(), noisy, critic)
+    data = TensorDict(
+        observation=torch.randn(6, 8, 4),
+        preference=torch.tensor([0.5, 0.5]).expand(6, 8, 2),
+        next=TensorDict(
+            observation=torch.randn(6, 8, 4),
+            preference=torch.tensor([0.5, 0.5]).expand(6, 8, 2),
+            reward=torch.randn(6, 8, 3),
+            done=torch.zeros(6, 8, 1, dtype=torch.bool),
+            terminated=torch.zeros(6, 8, 1, dtype=torch.bool),
+            batch_size=[6, 8],
+        ),
+        batch_size=[6, 8],
+    )
+    with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
+        policy(data)
+    MultiObjectiveGAE(gamma=0.9, lmbda=0.8, value_network=critic, preference_space=SPACE)(data)
+    data["start_action"] = torch.zeros(6, 8, 2)
+    data["human"] = torch.ones(6, 8, 2)
+    batch = data.reshape(-1).select(*utils.BATCH)
+    losses = loss(batch)
+
+    def trained(value: torch.Tensor) -> set[str]:
+        loss.zero_grad()
+        value.backward(retain_graph=True)
+        return {
+            name.split("_network")[0]
+            for name, parameter in loss.named_parameters()
+            if parameter.grad is not None and parameter.grad.any()
+        }
+
+    assert trained(losses["loss_objective"]) == {"actor"}
+    assert trained(losses["loss_critic"]) == {"critic"}
+    action = mean(batch.select(*mean.in_keys))["action"]
+    assert trained(utils.smoothness(batch, action, mean)) == {"actor"}
+    sigma = torch.tensor([0.5, 0.1])
+    held = utils.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
+    assert trained(held) == {"actor"}
