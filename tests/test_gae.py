@@ -126,6 +126,59 @@ def test_standardises_the_scalar():
     torch.testing.assert_close(standard, (plain - plain.mean()) / plain.std(), atol=1e-4, rtol=0)
 
 
+def test_levels_preferences():
+    """Where "distance" is preferred rewards are five times as large, and advantages are not."""
+    data = trajectories(64, 30)
+    preference = torch.eye(2)[torch.arange(64) % 2]
+    data["preference"] = preference[:, None].expand(64, 30, 2)
+    factor = 1.0 + 4.0 * data["preference"][..., :1]
+    data["state_value"] = data["state_value"] * factor
+    data["next"].update({k: data["next", k] * factor for k in ("state_value", "reward")})
+    plain = make_gae()(data.clone())["advantage"]
+    level = make_gae(level_preferences=True)(data.clone())["advantage"]
+    for rows in (preference[:, 0] > 0, preference[:, 0] == 0):
+        expected = plain[rows] / plain[rows].abs().mean()
+        torch.testing.assert_close(level[rows], expected, rtol=1e-4, atol=1e-5)
+
+
+def test_leveling_is_bounded():
+    """Nothing to learn at one of two preferences: its rounding errors stay small."""
+    data = trajectories(2, 30)
+    preference = torch.eye(2)
+    data["preference"] = preference[:, None].expand(2, 30, 2)
+    nearly_none = torch.tensor([1.0, 1e-6])[:, None, None]
+    data["state_value"] = data["state_value"] * nearly_none
+    data["next"].update({k: data["next", k] * nearly_none for k in ("state_value", "reward")})
+    level = make_gae(level_preferences=True)(data)["advantage"]
+    assert level[0].abs().mean() == pytest.approx(1.0, rel=1e-3)
+    assert level[1].abs().max() < 1e-3
+    data["next", "reward"].zero_()
+    data["state_value"], data["next", "state_value"] = torch.zeros(2, 2, 30, 3)
+    assert (make_gae(level_preferences=True)(data)["advantage"] == 0).all()
+
+
+def test_levels_by_a_quadratic_form():
+    """Rewards that are linear in the weights make advantages that are quadratic in them."""
+    data = trajectories(4, 8, 30, num_objectives=2)
+    weights = data["preference"]
+    sign = torch.where(torch.arange(30) % 2 == 0, 1.0, -1.0)[:, None]
+    # Episodes of one step: the advantage is sign (0.3 a^2 + 5 a b + b^2).
+    data["next", "reward"] = sign * (weights @ torch.tensor([[0.3, 2.5], [2.5, 1.0]]))
+    data["state_value"].zero_()
+    data["next", "done"].fill_(True), data["next", "terminated"].fill_(True)
+    data = make_gae(preference_space=None, level_preferences=True)(data)
+    torch.testing.assert_close(data["advantage"], sign.expand(4, 8, 30, 1), rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(data["value_target"], data["next", "reward"])
+
+
+def test_leveling_of_one_preference():
+    data = trajectories(2, 5)
+    data["preference"] = torch.tensor([0.25, 0.75]).expand(2, 5, 2)
+    plain = make_gae()(data.clone())["advantage"]
+    level = make_gae(level_preferences=True)(data.clone())["advantage"]
+    torch.testing.assert_close(level, plain / plain.abs().mean(), rtol=1e-4, atol=1e-5)
+
+
 def test_value_network_and_nested_keys():
     network = TensorDictModule(
         nn.Linear(4, 3), in_keys=["observation"], out_keys=[("critic", "value")]
@@ -155,10 +208,11 @@ def test_state_dict_and_schedule():
     torch.testing.assert_close(other(data.clone())["advantage"], gae(data)["advantage"])
 
 
-def test_compiles():
+@pytest.mark.parametrize("level", [False, True])
+def test_compiles(level):
     data = trajectories(3, 6)
-    expected = make_gae()(data.clone())["advantage"]
-    compiled = torch.compile(make_gae(), fullgraph=True)
+    expected = make_gae(level_preferences=level)(data.clone())["advantage"]
+    compiled = torch.compile(make_gae(level_preferences=level), fullgraph=True)
     torch.testing.assert_close(compiled(data)["advantage"], expected)
 
 

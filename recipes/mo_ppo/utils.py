@@ -183,6 +183,7 @@ def make_advantage(cfg: DictConfig, task: Task, critic: TensorDictModule) -> Mul
         lmbda=cfg.loss.lmbda,
         value_network=critic,
         preference_space=task.space,
+        level_preferences=cfg.loss.level_preferences,
         deactivate_vmap=True,
         device=task.device,
     )

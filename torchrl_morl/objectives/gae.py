@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import torch
 from tensordict import TensorDictBase
 from tensordict.nn import dispatch
 from tensordict.utils import NestedKey
@@ -46,6 +47,13 @@ class MultiObjectiveGAE(GAE):
             read.
         preference_space (PreferenceSpace, optional): tells which objectives the preference weighs.
             Defaults to ``None``: all of them, the weights are the preference.
+        level_preferences (bool): divide each advantage by how large advantages are on average at
+            its preference. An objective whose returns are hard to predict makes large advantages
+            wherever it is preferred, and one update for all preferences then serves these. What is
+            best at a preference stays the same, as in PopArt (https://arxiv.org/abs/1809.04474),
+            which levels tasks by the scale of their returns. Here the scale is a quadratic form of
+            the preference, fitted to the absolute advantages of the call by least squares.
+            Defaults to ``False``.
         average_gae (bool): standardise the scalar advantages. Defaults to ``False``.
         **kwargs: passed to :class:`~torchrl.objectives.value.GAE`.
 
@@ -106,11 +114,18 @@ class MultiObjectiveGAE(GAE):
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
 
-    def __init__(self, *, preference_space: PreferenceSpace | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        *,
+        preference_space: PreferenceSpace | None = None,
+        level_preferences: bool = False,
+        **kwargs: Any,
+    ) -> None:
         # Of scalar advantages: objectives that are standardised one by one have lost their weights.
         self.average = kwargs.pop("average_gae", False)
         super().__init__(**kwargs)
         self.preference_space = preference_space
+        self.level_preferences = level_preferences
 
     @property
     def in_keys(self) -> list[NestedKey]:
@@ -135,8 +150,11 @@ class MultiObjectiveGAE(GAE):
         tensordict = super().forward(tensordict, **kwargs)
         keys = self.tensor_keys
         advantage = tensordict.get(keys.advantage)
-        weights = self._weights(tensordict.get(keys.preference), advantage.shape[-1])
+        preference = tensordict.get(keys.preference)
+        weights = self._weights(preference, advantage.shape[-1])
         advantage = (weights * advantage).sum(-1, keepdim=True)
+        if self.level_preferences:
+            advantage = advantage / _size(advantage, preference)
         if self.average:
             valid = tensordict.get("shifted_valid", default=None)
             groups = self._group_ids(tensordict)
@@ -167,3 +185,21 @@ class MultiObjectiveGAE(GAE):
 
     def _broadcast_optional(self, tensor: Tensor, value: Tensor) -> Tensor:
         return tensor.expand_as(value)
+
+
+def _size(advantage: Tensor, preference: Tensor) -> Tensor:
+    """Mean absolute advantage at each preference ``[*B, P]``, as its quadratic form, ``[*B, 1]``."""
+    entries = preference.shape[-1]
+    first, second = torch.triu_indices(entries, entries, device=preference.device)
+    features = preference[..., first] * preference[..., second]
+    size = advantage.abs()
+    flat, target = features.flatten(0, -2), size.flatten(0, -2)
+    gram = flat.mT @ flat
+    # Few different preferences do not determine the form: of all that fit, take a small one.
+    tiny = torch.finfo(size.dtype).tiny
+    ridge = gram.diagonal().mean().mul(1e-6).clamp_min(tiny)
+    form = torch.linalg.solve(
+        gram + ridge * torch.eye(entries * (entries + 1) // 2).to(gram), flat.mT @ target
+    )
+    # Fitted, not measured: nothing grows beyond all bounds where the form is nearly zero.
+    return (features @ form).clamp_min(size.mean().mul(0.1).clamp_min(tiny))
