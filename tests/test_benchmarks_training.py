@@ -114,9 +114,30 @@ def test_peers_train_on_the_navigation_task(system, tmp_path):
     _need("gpi_pd.gpi_pd_continuous_action")
     path = tmp_path / "peer.csv"
     command = ["train", system, "--minutes", "0.01", "--every", "0.01", "--output", str(path)]
+    saved = tmp_path / "saved"
+    if system in time_to_quality.CAPQL:
+        command += ["--save", str(saved)]
     time_to_quality.main([*command, "--pd-morl", *TINY])
     with path.open() as file:
-        assert len(list(csv.DictReader(file))) == 1
+        (row,) = csv.DictReader(file)
+    if system in time_to_quality.CAPQL:
+        (folder,) = saved.iterdir()
+        assert int(folder.name) == int(row["steps"])
+        _, space, card = load_policy(folder)
+        assert space.objectives == ("core", "distance", "efficiency")
+        assert card["config"]["env"]["scene"] == "static" and card["config"]["seed"] == 0
+
+
+@pytest.mark.parametrize("system", sorted({time_to_quality.OURS, *time_to_quality.PEERS}))
+def test_save_refuses_what_it_cannot_and_what_is_there(system, tmp_path, capsys):
+    """Before anything is written, and before a peer is needed."""
+    output = tmp_path / "new.csv"
+    command = ["train", system, "--output", str(output), "--save", str(tmp_path)]
+    with pytest.raises(SystemExit):
+        time_to_quality.main(command)
+    expected = "is not overwritten" if system in time_to_quality.CAPQL else "--save is for capql"
+    assert expected in capsys.readouterr().err
+    assert not output.exists()
 
 
 def test_the_policy_of_capql_is_saved_as_one_of_ours(tmp_path):
