@@ -182,6 +182,8 @@ def test_trains_in_bfloat16(polished, tmp_path, monkeypatch):
         ("collector.exploration_sigma=[0.05,0]", "exploration_sigma must be positive"),
         ("loss.anchor_coeff=-1", "anchor_coeff must not be negative"),
         ("loss.anchor_radius=-1", "anchor_radius must not be negative"),
+        ("loss.anchor_window=4", "anchor_window must be an odd number of steps, .* got 4"),
+        ("loss.anchor_window=-1", "anchor_window must be an odd number of steps, .* got -1"),
         ("loss.smoothness_coeff=-1", "smoothness_coeff must not be negative"),
         ("loss.gamma=1.5", "loss.gamma must be in"),
         ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),

@@ -72,6 +72,20 @@ def test_anchor_by_hand():
     torch.testing.assert_close(far / distance, torch.tensor(math.log(201) / math.log(3)))
 
 
+def test_averages_over_the_steps_of_an_episode():
+    # Steps 0 to 2 belong to one episode, 3 and 4 to the next.
+    action = torch.tensor([[1.0, -1.0, 3.0, 10.0, 20.0]]).unsqueeze(-1)
+    action = torch.cat([action, -action])  # and of another environment
+    episode = torch.tensor([[0, 0, 0, 2, 2], [1, 1, 1, 3, 3]])
+    mean = utils.average_over_time(action, episode, window=3)
+    expected = torch.tensor([[0.0, 1.0, 1.0, 15.0, 15.0]]).unsqueeze(-1)
+    torch.testing.assert_close(mean, torch.cat([expected, -expected]))
+    torch.testing.assert_close(utils.average_over_time(action, episode, window=1), action)
+    # Longer than the row: the mean of each episode.
+    longest = utils.average_over_time(action, episode, window=9)
+    torch.testing.assert_close(longest[0, :, 0], torch.tensor([1.0, 1.0, 1.0, 15.0, 15.0]))
+
+
 def test_smoothness_by_hand():
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=1 + 2, num_cells=())
     with torch.no_grad():

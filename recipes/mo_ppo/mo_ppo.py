@@ -79,7 +79,11 @@ def main(cfg: DictConfig) -> None:
         # Advantages of every objective, weighed by the preference of the episode.
         with timeit("advantage"):
             advantage(data)
-            data["start_action"] = start(data.select(*start.in_keys))["action"]
+            data["start_action"] = utils.average_over_time(
+                start(data.select(*start.in_keys))["action"],
+                data["collector", "traj_ids"],
+                window=cfg.loss.anchor_window,
+            )
         replay_buffer.empty()
         replay_buffer.extend(data.reshape(-1).select(*utils.BATCH))
 

@@ -75,6 +75,11 @@ def check(cfg: DictConfig) -> None:
             "optim.interpolation must be greater than 0, which is the policy at the start, and at "
             f"most 1, got {cfg.optim.interpolation}."
         )
+    if cfg.loss.anchor_window < 1 or cfg.loss.anchor_window % 2 == 0:
+        raise ValueError(
+            "loss.anchor_window must be an odd number of steps, 1 for no average, "
+            f"got {cfg.loss.anchor_window}."
+        )
     for name in ("anchor_coeff", "anchor_radius", "smoothness_coeff"):
         if cfg.loss[name] < 0:
             raise ValueError(f"loss.{name} must not be negative, got {cfg.loss[name]}.")
@@ -240,6 +245,23 @@ def penalties(
     return found
 
 
+def average_over_time(action: Tensor, episode: Tensor, *, window: int) -> Tensor:
+    """The mean of the actions around each step, of the same episode.
+
+    Args:
+        action: of steps in a row, ``[E, T, A]``.
+        episode: which one a step belongs to, integers from 0, ``[E, T]``.
+
+    Keyword Args:
+        window: steps of a mean, odd; fewer at the ends of episodes and of the row.
+    """
+    side = window // 2
+    nearby = nn.functional.pad(action, (0, 0, side, side)).unfold(-2, window, 1)
+    episodes = nn.functional.pad(episode, (side, side), value=-1).unfold(-1, window, 1)
+    same = (episodes == episode.unsqueeze(-1)).unsqueeze(-2)
+    return (nearby * same).sum(-1) / same.sum(-1)
+
+
 def anchor(
     batch: TensorDictBase, action: Tensor, *, sigma: Tensor, objective: int, radius: float
 ) -> Tensor:
@@ -255,7 +277,8 @@ def anchor(
     in how a person is passed, and the rest of the way only has to be driven well.
 
     Args:
-        batch: of transitions, with the ``start_action`` of the policy at the start, and ``human``.
+        batch: of transitions, with the ``start_action`` of the policy at the start, averaged over time or
+            not, and ``human``.
         action: the mean of the policy there, ``[*B, A]``.
 
     Keyword Args:
