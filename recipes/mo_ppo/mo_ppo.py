@@ -26,7 +26,7 @@ from recipes.pd_morl.utils import crossed, log_metrics, make_loggers, step
 from recipes.task import make_averaged, make_task
 from torchrl_morl.deploy import load_policy
 
-from . import utils
+from . import penalties, utils
 
 
 @hydra.main(version_base="1.3", config_path="", config_name="config")
@@ -79,7 +79,7 @@ def main(cfg: DictConfig) -> None:
         # Advantages of every objective, weighed by the preference of the episode.
         with timeit("advantage"):
             advantage(data)
-            data["start_action"] = utils.average_over_time(
+            data["start_action"] = penalties.average_over_time(
                 start(data.select(*start.in_keys))["action"],
                 data["collector", "traj_ids"],
                 window=cfg.loss.anchor_window,
@@ -100,13 +100,13 @@ def main(cfg: DictConfig) -> None:
                         # Penalties are smooth: a part of the batch, which is shuffled, will do.
                         part = batch[: cfg.optim.penalty_batch_size]
                         with precision:
-                            penalties = utils.penalties(cfg, part, mean, sigma=sigma, demo=demo)
+                            costs = penalties.compute(cfg, part, mean, sigma=sigma, demo=demo)
                         loss_actor = losses["loss_objective"]
-                        for name, penalty in penalties.items():
-                            loss_actor = loss_actor + cfg.loss[f"{name}_coeff"] * penalty
+                        for name, cost in costs.items():
+                            loss_actor = loss_actor + cfg.loss[f"{name}_coeff"] * cost
                         step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
                         averaged.update_parameters(actor)
-                        metrics |= penalties
+                        metrics |= costs
                 metrics |= losses
         if trains_actor:
             for scheduler in schedulers.values():

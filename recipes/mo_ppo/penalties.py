@@ -1,0 +1,108 @@
+"""What the actor of MO-PPO pays for beside its returns: leaving the demonstrated style, and jerks."""
+
+from __future__ import annotations
+
+from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictSequential
+from torch import Tensor, nn
+
+
+def compute(
+    cfg: DictConfig,
+    batch: TensorDictBase,
+    mean: TensorDictSequential,
+    *,
+    sigma: Tensor,
+    demo: int | None,
+) -> dict[str, Tensor]:
+    """What an actor pays for beside its returns: :func:`smoothness` and :func:`anchor`.
+
+    Args:
+        cfg: the configuration.
+        batch: of transitions.
+        mean: of the policy, see :func:`~recipes.mo_ppo.utils.make_policy`.
+
+    Keyword Args:
+        sigma: standard deviations of the policy.
+        demo: the place of the demonstrated style in the preference; ``None`` without demonstrations.
+
+    Returns:
+        Of those that are asked for, before their coefficients.
+    """
+    action = mean(batch.select(*mean.in_keys))["action"]
+    found = {}
+    if cfg.loss.smoothness_coeff:
+        found["smoothness"] = smoothness(batch, action, mean)
+    if demo is not None:
+        # The demonstrated style is a learned reward: see config.yaml.
+        radius = cfg.loss.anchor_radius
+        found["anchor"] = anchor(batch, action, sigma=sigma, objective=demo, radius=radius)
+    return found
+
+
+def average_over_time(action: Tensor, episode: Tensor, *, window: int) -> Tensor:
+    """The mean of the actions around each step, of the same episode.
+
+    Args:
+        action: of steps in a row, ``[E, T, A]``.
+        episode: which one a step belongs to, integers from 0, ``[E, T]``.
+
+    Keyword Args:
+        window: steps of a mean, odd; fewer at the ends of episodes and of the row.
+    """
+    side = window // 2
+    nearby = nn.functional.pad(action, (0, 0, side, side)).unfold(-2, window, 1)
+    episodes = nn.functional.pad(episode, (side, side), value=-1).unfold(-1, window, 1)
+    same = (episodes == episode.unsqueeze(-1)).unsqueeze(-2)
+    return (nearby * same).sum(-1) / same.sum(-1)
+
+
+def anchor(
+    batch: TensorDictBase, action: Tensor, *, sigma: Tensor, objective: int, radius: float
+) -> Tensor:
+    """How far a policy has gone from the one it started as, where an objective matters.
+
+    The logarithm of one plus the divergence in nats, which is the Cauchy loss of Barron
+    (https://arxiv.org/abs/1701.03077) of the change in standard deviations: small changes everywhere,
+    of which a style is made, cost what they diverge; a decision that was wrong, as to stand still or
+    on which side to pass, may change, which would cost hundreds of nats.
+
+    A mean over the transitions, weighed by the cube of the weight of the objective: it holds a corner
+    of the preferences and leaves the middle free. Far from the human it holds nothing: styles differ
+    in how a person is passed, and the rest of the way only has to be driven well.
+
+    Args:
+        batch: of transitions, with the ``start_action`` of the policy at the start, averaged over time or
+            not, and ``human``.
+        action: the mean of the policy there, ``[*B, A]``.
+
+    Keyword Args:
+        sigma: standard deviations of both, see :func:`~recipes.mo_ppo.utils.make_policy`.
+        objective: the place of the weight in the preference.
+        radius: around the human, metres.
+    """
+    divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
+    weight = batch["preference"][..., objective] ** 3 * (batch["human"][..., 0] < radius)
+    return (weight * divergence.log1p()).mean()
+
+
+def smoothness(batch: TensorDictBase, action: Tensor, actor: TensorDictSequential) -> Tensor:
+    """By how much the turn rate changes from a step to the next, mean square.
+
+    After the temporal term of CAPS (Mysore et al., https://arxiv.org/abs/2012.06644), squared, and of
+    the turn rate alone: the speed is at its limit nearly always.
+
+    Args:
+        batch: of transitions.
+        action: of the actor there, in [-1, 1], speed and turn rate, ``[*B, 2]``.
+        actor: writes the action of the step after.
+
+    Returns:
+        A number, in units of half the range of the turn rate, squared. The last step of an episode
+        counts as no change.
+    """
+    later = batch.select(*actor.in_keys).update(batch["next"].select("observation"))
+    change = actor(later)["action"] - action
+    continues = ~batch["next", "done"].squeeze(-1)
+    return (change[..., 1].square() * continues).mean()

@@ -1,0 +1,76 @@
+"""What the actor of MO-PPO pays for, by hand: the anchor, the mean that it holds, and smoothness."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from tensordict import TensorDict
+from torchrl.data import Bounded
+
+from recipes.mo_ppo import penalties
+from torchrl_morl.modules import make_actor
+
+
+def test_anchor_by_hand():
+    def policy(turn: float):
+        actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+        with torch.no_grad():
+            actor[0].module[-1].weight.zero_()
+            actor[0].module[-1].bias.copy_(torch.tensor([0.0, turn]).atanh())
+        return actor
+
+    batch = TensorDict(
+        observation=torch.randn(3, 4),
+        preference=torch.tensor([[1.0, 0.0], [0.5, 0.5], [1.0, 0.0]]),
+        human=torch.tensor([[2.4, 1.0], [0.5, -2.0], [2.6, 1.0]]),
+        batch_size=[3],
+    )
+    # 0.2 apart, a standard deviation of 0.1: 2 nats, of which ln(1 + 2), weighed by 1, 1/8 and, where
+    # nobody is near, 0.
+    batch["start_action"] = policy(0.1)(batch.clone())["action"].detach()
+    action = policy(0.3)(batch.clone())["action"]
+    sigma = torch.tensor([0.5, 0.1])
+    distance = penalties.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
+    torch.testing.assert_close(distance, torch.tensor(math.log(3) * 1.125 / 3))
+    # Ten times as far is a hundred times as many nats, and costs less than five times as much.
+    far = penalties.anchor(
+        batch, 10 * action - 9 * batch["start_action"], sigma=sigma, objective=0, radius=2.5
+    )
+    torch.testing.assert_close(far / distance, torch.tensor(math.log(201) / math.log(3)))
+
+
+def test_averages_over_the_steps_of_an_episode():
+    # Steps 0 to 2 belong to one episode, 3 and 4 to the next.
+    action = torch.tensor([[1.0, -1.0, 3.0, 10.0, 20.0]]).unsqueeze(-1)
+    action = torch.cat([action, -action])  # and of another environment
+    episode = torch.tensor([[0, 0, 0, 2, 2], [1, 1, 1, 3, 3]])
+    mean = penalties.average_over_time(action, episode, window=3)
+    expected = torch.tensor([[0.0, 1.0, 1.0, 15.0, 15.0]]).unsqueeze(-1)
+    torch.testing.assert_close(mean, torch.cat([expected, -expected]))
+    torch.testing.assert_close(penalties.average_over_time(action, episode, window=1), action)
+    # Longer than the row: the mean of each episode.
+    longest = penalties.average_over_time(action, episode, window=9)
+    torch.testing.assert_close(longest[0, :, 0], torch.tensor([1.0, 1.0, 1.0, 15.0, 15.0]))
+
+
+def test_smoothness_by_hand():
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=1 + 2, num_cells=())
+    with torch.no_grad():
+        actor[0].module[-1].weight.copy_(torch.tensor([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
+    seen = torch.tensor([[0.1], [0.1], [0.5], [0.0]]).atanh()
+    later = torch.tensor([[0.4], [0.4], [0.5], [-0.1]]).atanh()
+    batch = TensorDict(
+        observation=seen,
+        preference=torch.rand(4, 2),
+        next=TensorDict(
+            observation=later,
+            done=torch.tensor([[False], [True], [False], [False]]),
+            batch_size=[4],
+        ),
+        batch_size=[4],
+    )
+    # The second episode ends: what follows is another one.
+    change = penalties.smoothness(batch, actor(batch.clone())["action"], actor)
+    torch.testing.assert_close(change, torch.tensor((0.09 + 0.01) / 4))
+    assert "action" not in batch.keys()
