@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.data import Bounded
 
 from envs import NavigationEnv
@@ -175,6 +176,36 @@ def test_trains_in_bfloat16(polished, tmp_path, monkeypatch):
     assert not all(moved)
 
 
+def test_goes_on_from_the_last_checkpoint(polished, tmp_path):
+    start, folder = polished
+    # The actor waits for the critic: what is saved at the end is what was loaded.
+    more = ("collector.total_frames=192", "optim.critic_batches=100", f"resume={folder}")
+    resumed = run(tmp_path / "run", start, *more)
+    assert [path.name for path in (resumed / "policies").iterdir()] == ["000000192"]
+    weights = [
+        load_policy(path)[0].state_dict()
+        for path in (start, folder / "policies" / "000000128", resumed / "policies" / "000000192")
+    ]
+    for name, value in weights[2].items():
+        torch.testing.assert_close(value, weights[1][name], rtol=0, atol=0)
+    assert any(not torch.equal(value, weights[0][name]) for name, value in weights[2].items())
+    # And so does the critic's optimizer: 2 updates a batch of 32 frames, 6 batches in all.
+    rotation = CheckpointRotation(resumed / "checkpoints", keep_last=1)
+    manifest = Checkpoint.manifest(rotation.latest())
+    assert manifest["metadata"]["frames"] == 192
+
+    class Sink:
+        def load_state_dict(self, state):
+            self.state = state
+
+        def state_dict(self):
+            return {}
+
+    critic = Sink()
+    Checkpoint(critic=critic).load(rotation.latest(), components=["critic"], strict="warn")
+    assert {int(entry["step"]) for entry in critic.state["state"].values()} == {12}
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
@@ -193,12 +224,20 @@ def test_trains_in_bfloat16(polished, tmp_path, monkeypatch):
         ("optim.penalty_batch_size=0", "penalty_batch_size must be at least 1, got 0"),
         ("env.observe_human=false", "observations of 36 entries, here they have 33"),
         ("policy=nowhere", "nowhere"),
+        ("resume=nowhere", "resume=nowhere has no checkpoint"),
     ],
 )
 def test_refuses_bad_configurations(polished, tmp_path, override, message):
     start, _ = polished
     with pytest.raises((ValueError, FileNotFoundError), match=message):
         run(tmp_path / "run", start, override)
+    assert not (tmp_path / "run" / "policies").exists()
+
+
+def test_refuses_to_resume_what_is_done(polished, tmp_path):
+    start, folder = polished
+    with pytest.raises(ValueError, match="has seen 128 frames already"):
+        run(tmp_path / "run", start, f"resume={folder}")
     assert not (tmp_path / "run" / "policies").exists()
 
 

@@ -9,6 +9,7 @@ import torch
 from hydra import compose, initialize_config_module
 from omegaconf import DictConfig
 from tensordict import TensorDict
+from torchrl.checkpoint import Checkpoint
 from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -150,3 +151,26 @@ def test_gradients_go_where_they_belong():
     sigma = torch.tensor([0.5, 0.1])
     held = penalties.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
     assert trained(held) == {"actor"}
+
+
+def test_a_loaded_loss_is_the_policy_that_collects(tmp_path):
+    def made(seed: int):
+        torch.manual_seed(seed)
+        actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+        _, noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+        critic = make_vector_critic(
+            3, in_features=4 + 2, in_keys=("observation", "preference"), out_key="state_value"
+        )
+        return actor, policy, utils.make_loss(configuration(), noisy, critic)
+
+    saved, _, loss = made(0)
+    Checkpoint(loss=loss).save(tmp_path / "checkpoint")
+    loaded, policy, loss = made(1)
+    Checkpoint(loss=loss).load(tmp_path / "checkpoint")
+    for name, value in saved.state_dict().items():
+        torch.testing.assert_close(loaded.state_dict()[name], value, rtol=0, atol=0)
+    data = TensorDict(observation=torch.randn(5, 4), preference=torch.rand(5, 2), batch_size=[5])
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        torch.testing.assert_close(
+            policy(data.clone())["action"], saved(data.clone())["action"].clamp(-1, 1)
+        )

@@ -48,6 +48,8 @@ def main(cfg: DictConfig) -> None:
     averaged = make_averaged(cfg, actor)
     optimizers, schedulers = utils.make_optimizers(cfg, loss)
     replay_buffer = utils.make_replay_buffer(cfg, task)
+    state = Checkpoint(loss=loss, averaged=averaged, **optimizers, **schedulers)
+    frames = utils.resume(cfg, state)
     # In the card of a policy stands what it was trained in.
     cfg.compute.bfloat16 = utils.use_bfloat16(cfg, task.device)
     precision = torch.autocast(task.device.type, torch.bfloat16, enabled=cfg.compute.bfloat16)
@@ -61,7 +63,7 @@ def main(cfg: DictConfig) -> None:
         env,
         policy,
         frames_per_batch=cfg.collector.frames_per_batch,
-        total_frames=cfg.collector.total_frames,
+        total_frames=cfg.collector.total_frames - frames,
         policy_device=task.device,
         storing_device=task.device,
         auto_register_policy_transforms=False,
@@ -69,11 +71,11 @@ def main(cfg: DictConfig) -> None:
     checkpoints = CheckpointRotation(
         task.run_dir / "checkpoints", keep_last=1, keep_best=("score", "max")
     )
-    state = Checkpoint(loss=loss, averaged=averaged, **optimizers, **schedulers)
 
-    frames = 0
-    progress = tqdm.tqdm(total=cfg.collector.total_frames, unit="step", smoothing=0.05)
-    for batches, data in enumerate(collector):
+    progress = tqdm.tqdm(
+        total=cfg.collector.total_frames, initial=frames, unit="step", smoothing=0.05
+    )
+    for batches, data in enumerate(collector, start=frames // cfg.collector.frames_per_batch):
         collected, frames = frames, frames + data.numel()
         progress.update(data.numel())
         # Advantages of every objective, weighed by the preference of the episode.
@@ -123,7 +125,8 @@ def main(cfg: DictConfig) -> None:
                     cfg, task.eval_env, between, task.space, task.demonstration
                 )
             log_metrics(loggers, result.metrics, frames)
-            checkpoints.save(state, step=frames, metadata={"score": result.score})
+            metadata = {"score": result.score, "frames": frames}
+            checkpoints.save(state, step=frames, metadata=metadata)
             utils.save(task, cfg, frames, between, result, card)
             tqdm.tqdm.write(result.table(frames))
             progress.set_postfix(success=f"{result.success:.0f}%", score=f"{result.score:.2f}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -16,6 +17,7 @@ from tensordict.nn import (
     TensorDictSequential,
 )
 from torch import Tensor, nn
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.modules import IndependentNormal
 from torchrl.objectives import ClipPPOLoss
@@ -127,6 +129,38 @@ def check_start(
             "with, if there was one."
         )
     pd_morl.check_observation(cfg, cfg.policy, start[0].module[0].in_features - space.num_tunable)
+
+
+def resume(cfg: DictConfig, state: Checkpoint) -> int:
+    """Load the last checkpoint of the run that ``resume`` names, if it names one.
+
+    Args:
+        cfg: the configuration, the same as that of the run.
+        state: of what a checkpoint holds.
+
+    Returns:
+        How many frames it has seen.
+
+    Raises:
+        FileNotFoundError: if there is no checkpoint.
+        ValueError: if nothing is left to be done.
+    """
+    if cfg.resume is None:
+        return 0
+    latest = CheckpointRotation(Path(cfg.resume) / "checkpoints", keep_last=1).latest()
+    if latest is None:
+        raise FileNotFoundError(
+            f"resume={cfg.resume} has no checkpoint: it must be the folder of a run of MO-PPO that "
+            "has been evaluated at least once."
+        )
+    frames = Checkpoint.manifest(latest)["metadata"]["frames"]
+    if frames >= cfg.collector.total_frames:
+        raise ValueError(
+            f"resume={cfg.resume} has seen {frames} frames already: collector.total_frames must be "
+            f"greater, got {cfg.collector.total_frames}."
+        )
+    state.load(latest)
+    return frames
 
 
 def make_policy(
