@@ -153,16 +153,6 @@ def test_smoothness_steadies_a_policy(polished, tmp_path):
     assert 0 < changes[1] < changes[0] / 2, changes
 
 
-def test_saves_what_lies_between(polished, tmp_path):
-    start, _ = polished
-    weights = {"0": load_policy(start)[0].state_dict()}
-    for share in ("0.5", "1.0"):
-        folder = run(tmp_path / share, start, f"optim.interpolation={share}")
-        weights[share] = load_policy(folder / "policies" / "000000128")[0].state_dict()
-    for name, value in weights["0.5"].items():
-        torch.testing.assert_close(value, (weights["0"][name] + weights["1.0"][name]) / 2)
-
-
 def test_trains_in_bfloat16(polished, tmp_path, monkeypatch):
     start, folder = polished
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
@@ -219,8 +209,6 @@ def test_goes_on_from_the_last_checkpoint(polished, tmp_path):
         ("loss.gamma=1.5", "loss.gamma must be in"),
         ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),
         ("optim.batch_size=0", "optim.batch_size must lie between"),
-        ("optim.interpolation=0", "optim.interpolation must be greater than 0"),
-        ("optim.interpolation=1.2", "and at most 1, got 1.2"),
         ("optim.penalty_batch_size=0", "penalty_batch_size must be at least 1, got 0"),
         ("env.observe_human=false", "observations of 36 entries, here they have 33"),
         ("policy=nowhere", "nowhere"),

@@ -54,24 +54,6 @@ def test_failures_are_the_episodes_that_end_elsewhere():
     assert math.isnan(rate([False] * 4, [False] * 4))
 
 
-def test_interpolated_by_hand():
-    def policy(seed: int):
-        torch.manual_seed(seed)
-        return make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
-
-    start, end = policy(0), policy(1)
-    kept = [value.clone() for value in (*start.parameters(), *end.parameters())]
-    between = utils.interpolated(start, end, 0.25)
-    for value, a, b in zip(between.parameters(), start.parameters(), end.parameters(), strict=True):
-        torch.testing.assert_close(value, 0.75 * a + 0.25 * b)
-    assert torch.equal(between[1].action_high, end[1].action_high)
-    for value, a in zip(utils.interpolated(start, start, 0.7).parameters(), start.parameters()):
-        assert torch.equal(value, a)
-    for value, b in zip(utils.interpolated(start, end, 1.0).parameters(), end.parameters()):
-        torch.testing.assert_close(value, b)
-    assert all(map(torch.equal, kept, (*start.parameters(), *end.parameters())))
-
-
 def test_bfloat16_rounds_layers_and_not_actions():
     torch.manual_seed(0)
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))

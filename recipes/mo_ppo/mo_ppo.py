@@ -120,14 +120,13 @@ def main(cfg: DictConfig) -> None:
         last = frames >= cfg.collector.total_frames
         if last or crossed(cfg.evaluation.interval, collected, frames):
             with timeit("evaluate"):
-                between = utils.interpolated(start, averaged.module, cfg.optim.interpolation)
                 result = evaluation.evaluate(
-                    cfg, task.eval_env, between, task.space, task.demonstration
+                    cfg, task.eval_env, averaged.module, task.space, task.demonstration
                 )
             log_metrics(loggers, result.metrics, frames)
             metadata = {"score": result.score, "frames": frames}
             checkpoints.save(state, step=frames, metadata=metadata)
-            utils.save(task, cfg, frames, between, result, card)
+            utils.save(task, cfg, frames, averaged.module, result, card)
             tqdm.tqdm.write(result.table(frames))
             progress.set_postfix(success=f"{result.success:.0f}%", score=f"{result.score:.2f}")
     progress.close()

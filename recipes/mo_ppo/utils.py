@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import copy
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 from omegaconf import DictConfig
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import (
     ProbabilisticTensorDictModule,
     ProbabilisticTensorDictSequential,
@@ -71,11 +70,6 @@ def check(cfg: DictConfig) -> None:
         raise ValueError(
             "collector.exploration_sigma must be positive, for speed and turn rate, since without "
             f"noise there is nothing to compare, got {sigma}."
-        )
-    if not 0 < cfg.optim.interpolation <= 1:
-        raise ValueError(
-            "optim.interpolation must be greater than 0, which is the policy at the start, and at "
-            f"most 1, got {cfg.optim.interpolation}."
         )
     if cfg.loss.anchor_window < 1 or cfg.loss.anchor_window % 2 == 0:
         raise ValueError(
@@ -260,25 +254,6 @@ def use_bfloat16(cfg: DictConfig, device: torch.device) -> bool:
         return torch.cuda.is_bf16_supported(including_emulation=False)
     capabilities = torch.cpu.get_capabilities()
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
-
-
-def interpolated(
-    start: TensorDictSequential, end: TensorDictSequential, share: float
-) -> TensorDictSequential:
-    """A policy whose weights lie between those of two.
-
-    After Wortsman et al. (https://arxiv.org/abs/2109.01903): between a network and what it became by
-    further training lie networks that have nearly all of what was gained, and lost less of the rest,
-    here of the demonstrated style.
-
-    Args:
-        start: before.
-        end: after, of the same sizes.
-        share: 0 gives the one before, 1 the one after.
-    """
-    between = copy.deepcopy(end)
-    TensorDict.from_module(between).data.lerp_(TensorDict.from_module(start).data, 1 - share)
-    return between
 
 
 def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
