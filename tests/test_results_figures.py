@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 
 import matplotlib.pyplot as plt
@@ -93,6 +94,18 @@ def test_what_ignores_preferences_has_no_figures(output, tmp_path):
         qualitative_figure(tmp_path / "b.png", [Column(core, 0, "A")])
     with pytest.raises(ValueError, match="No scenes"):
         qualitative_figure(tmp_path / "c.png", [])
+
+
+def test_a_core_far_away_does_not_flatten_a_panel(output, tmp_path, drawn):
+    evaluation, core = (read_evaluation(output / name / "static") for name in ("OUR", "CORE"))
+    quantitative_figure(tmp_path / "near.png", evaluation, core)
+    slow = {**core.columns, "time": core.columns["time"] + 1000}
+    quantitative_figure(tmp_path / "far.png", evaluation, dataclasses.replace(core, columns=slow))
+    near, far = (figure.axes[0] for figure in drawn)
+    assert far.get_ylim()[1] < 100
+    assert any(text.get_text().startswith("CORE: 1") for text in far.texts)
+    assert not any(text.get_text().startswith("CORE") for text in near.texts)
+    assert len(far.lines) == len(near.lines) - 1
 
 
 def test_missing_conditions_are_named(tmp_path, monkeypatch, capsys, drawn):

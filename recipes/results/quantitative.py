@@ -49,7 +49,7 @@ def quantitative_figure(path: Path, evaluation: Evaluation, core: Evaluation | N
     Args:
         path: file to write.
         evaluation: of a system that follows preferences.
-        core: one that ignores them, a line in every panel.
+        core: one that ignores them, a line in every panel, or a note where it lies far away.
 
     Raises:
         ValueError: if ``evaluation`` ignores preferences.
@@ -84,11 +84,6 @@ def _panel(
 ) -> None:
     values = evaluation.values(name)
     tops = []
-    if core is not None:
-        middle = _mean_over_seeds(core.values(name)[:, 0])
-        if not np.isnan(middle).all():
-            ax.axhline(np.nanmean(middle), **_CORE)
-            tops.append(np.nanmean(middle))
     for row in range(values.shape[1]):
         interval = bootstrap_interval(values[:, row], shared_episodes=True, resamples=1000)
         if not interval.n:
@@ -107,6 +102,13 @@ def _panel(
         )
         tops.append(np.nanmax([interval.estimate, interval.high]))
     low, high = ax.get_ylim()
+    middle = np.nan if core is None else _mean_where_any(_mean_over_seeds(core.values(name)[:, 0]))
+    # A line far away would press everything else flat.
+    far = not low - (high - low) < middle < high + (high - low)
+    if not np.isnan(middle) and not far:
+        ax.axhline(middle, **_CORE)
+        tops.append(middle)
+        low, high = ax.get_ylim()
     bar = max(tops, default=high) + 0.06 * (high - low)
     for (first, second), p in corner_tests(evaluation, name).items():
         inner = first + 0.3, second - 0.3
@@ -114,6 +116,10 @@ def _panel(
         ax.plot(np.repeat(inner, 2), [drop, bar, bar, drop], color="black", linewidth=0.6)
         ax.text(sum(inner) / 2, bar, significance_mark(p), ha="center", va="bottom", fontsize=7)
     ax.set_ylim(low, bar + 0.16 * (high - low))
+    if not np.isnan(middle) and far:
+        where = "above" if middle > high else "below"
+        text = f"{core.system}: {middle:.3g}, {where}"
+        ax.text(0.5, 0.02, text, transform=ax.transAxes, ha="center", va="bottom", fontsize=7)
 
 
 def _shares(
@@ -145,6 +151,10 @@ def _shares(
 def _corner_rows(evaluation: Evaluation) -> list[int]:
     """Places of all preferences with one weight of 1, in their order."""
     return np.flatnonzero((evaluation.preferences == 1).any(1)).tolist()
+
+
+def _mean_where_any(values: NDArray[np.float64]) -> float:
+    return np.nan if np.isnan(values).all() else float(np.nanmean(values))
 
 
 def _mean_over_seeds(values: NDArray[np.float64]) -> NDArray[np.float64]:
