@@ -228,6 +228,15 @@ def test_polished_policies_are_told_apart_by_the_training_before(tmp_path):
     assert [member.seed for member in system.members] == [1, 2]
 
 
+def test_polishings_of_one_training_are_told_apart_by_their_own_seed(tmp_path):
+    start = {"config": {"seed": 1}}
+    folders = [save(tmp_path / f"p{seed}", seed, start=start) for seed in (5, 6)]
+    system = load_system("OUR=" + ",".join(map(str, folders)))
+    assert [member.seed for member in system.members] == [5, 6]
+    with pytest.raises(ValueError, match="the same policy twice is no second training"):
+        load_system(f"OUR={folders[0]},{folders[0]}")
+
+
 def test_a_policy_without_the_human_is_driven_without_it(tmp_path):
     card = {"config": {"seed": 0, "env": {"observe_human": False, "num_envs": 8}}}
     system = load_system(f"NH={save(tmp_path / 'p', 0, **card)}")

@@ -28,7 +28,8 @@ class Member:
     """One training of a system, or the only one of what was not trained.
 
     Args:
-        seed: of the training; of a polished policy, of the training that it started from.
+        seed: of the training; of a polished policy, of the training that it started from, or of the
+            polishing where several started from one.
         actor: makes the actor for a robot of that name, writing actions in [-1, 1].
         source: where it comes from, for the record: a folder and a hash of the weights.
         observed: what it observes, arguments of :func:`envs.policy_env.make_policy_env`.
@@ -113,10 +114,11 @@ def load_system(argument: str) -> System:
         reference = folders.removeprefix(_REFERENCE)
         make_reference(reference)  # an unknown one is an error now, not hours later
         return untrained(name, lambda robot: make_reference(reference, robot))
+    paths = [Path(folder) for folder in folders.split(",")]
+    policies = [load_policy(path) for path in paths]
+    seeds = _seeds([card for _, _, card in policies])
     members, facts = [], []
-    for place, folder in enumerate(map(Path, folders.split(","))):
-        actor, space, card = load_policy(folder)
-        seed = _first_training(card).get("config", {}).get("seed", place)
+    for folder, seed, (actor, space, card) in zip(paths, seeds, policies, strict=True):
         digest = hashlib.sha256((folder / "policy.safetensors").read_bytes()).hexdigest()
         source = f"{folder} sha256 {digest[:16]}"
         members.append(Member(seed, lambda _, actor=actor: actor, source, observed_by(card)))
@@ -130,8 +132,17 @@ def load_system(argument: str) -> System:
     return System(name, tuple(members), space, shown, ignored)
 
 
-def _first_training(card: dict[str, Any]) -> dict[str, Any]:
-    """The card of the policy that was not polished yet."""
-    while "start" in card:
-        card = card["start"]
-    return card
+def _seeds(cards: list[dict[str, Any]]) -> list[int]:
+    """The seeds of the first stage in which the trainings differ; of their start, if in none.
+
+    A polished policy has two stages, the polishing and the training that it started from. One
+    without a seed counts as its place.
+    """
+    histories = []
+    for place, card in enumerate(cards):
+        stages = [card]
+        while "start" in stages[-1]:
+            stages.append(stages[-1]["start"])
+        histories.append([stage.get("config", {}).get("seed", place) for stage in stages[::-1]])
+    stages = [list(seeds) for seeds in zip(*histories)]
+    return next((seeds for seeds in stages if len(set(seeds)) == len(seeds)), stages[0])
