@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.data import Bounded
 
 from envs import NavigationEnv
 from envs.policy_env import OBSERVATION_SIZE
-from recipes.mo_ppo import mo_ppo
+from recipes.mo_ppo import mo_ppo, utils
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_policy, save_reward_model
@@ -196,6 +197,41 @@ def test_goes_on_from_the_last_checkpoint(polished, tmp_path):
     assert {int(entry["step"]) for entry in critic.state["state"].values()} == {12}
 
 
+def test_the_rate_falls_over_all_frames_of_a_training():
+    def rates(frames, total, steps, loaded=None):
+        """Of the actor, at the first batch and after every further one."""
+        optimizer = torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))], lr=0.2)
+        if loaded is not None:
+            optimizer.load_state_dict(loaded)
+        cfg = OmegaConf.create(
+            {
+                "collector": {"total_frames": total, "frames_per_batch": 10},
+                "optim": {"lr": 0.2, "critic_batches": 2},
+            }
+        )
+        schedule = utils.make_schedule(cfg, optimizer, frames)
+        found = [optimizer.param_groups[0]["lr"]]
+        for _ in range(steps):
+            optimizer.step()
+            schedule.step()
+            found.append(optimizer.param_groups[0]["lr"])
+        return found, optimizer.state_dict()
+
+    # Twelve batches, two of which are for the critic alone: ten steps down to a twentieth.
+    whole = rates(0, 120, 10)[0]
+    assert whole == pytest.approx([0.2 - 0.019 * step for step in range(11)])
+    # Cut after six batches, four of which had an update.
+    state = rates(0, 120, 4)[1]
+    assert rates(60, 120, 6, state)[0] == pytest.approx(whole[4:])
+    # A training that is over goes on to twice as many: at the rate that it has there.
+    state = rates(0, 120, 10)[1]
+    longer = rates(0, 240, 22)[0]
+    assert rates(120, 240, 12, state)[0] == pytest.approx(longer[10:])
+    assert longer[-1] == pytest.approx(0.01)
+    # The critic alone, so far.
+    assert rates(10, 120, 0, state)[0] == pytest.approx([0.2])
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
@@ -206,6 +242,7 @@ def test_goes_on_from_the_last_checkpoint(polished, tmp_path):
         ("loss.anchor_window=4", "anchor_window must be an odd number of steps, .* got 4"),
         ("loss.anchor_window=-1", "anchor_window must be an odd number of steps, .* got -1"),
         ("loss.smoothness_coeff=-1", "smoothness_coeff must not be negative"),
+        ("loss.standing_coeff=-1", "standing_coeff must not be negative"),
         ("loss.gamma=1.5", "loss.gamma must be in"),
         ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),
         ("optim.batch_size=0", "optim.batch_size must lie between"),

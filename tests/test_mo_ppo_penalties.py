@@ -74,3 +74,16 @@ def test_smoothness_by_hand():
     change = penalties.smoothness(batch, actor(batch.clone())["action"], actor)
     torch.testing.assert_close(change, torch.tensor((0.09 + 0.01) / 4))
     assert "action" not in batch.keys()
+
+
+def test_standing_by_hand():
+    # Stands; drives at 5 % of the speed; turns at 2.5 % of the rate; does both; drives; turns back.
+    action = torch.tensor([[-1, 0], [-0.9, 0], [-1, 0.025], [-0.9, -0.025], [0.5, 0], [-1, -0.3]])
+    torch.testing.assert_close(penalties.standing(action), torch.tensor((1 + 0.25 + 0.25) / 6))
+    for each, cost in zip(action, (1, 0.25, 0.25, 0, 0, 0), strict=True):
+        torch.testing.assert_close(penalties.standing(each), torch.tensor(float(cost)))
+    # Where it stands it is pushed to drive; where it drives it is left alone.
+    action.requires_grad_(True)
+    penalties.standing(action).backward()
+    assert action.grad[0, 0] < 0
+    assert not action.grad[3:].any()

@@ -46,10 +46,11 @@ def main(cfg: DictConfig) -> None:
     advantage = utils.make_advantage(cfg, task, critic)
     loss = utils.make_loss(cfg, noisy, critic)
     averaged = make_averaged(cfg, actor)
-    optimizers, schedulers = utils.make_optimizers(cfg, loss)
+    optimizers = utils.make_optimizers(cfg, loss)
     replay_buffer = utils.make_replay_buffer(cfg, task)
-    state = Checkpoint(loss=loss, averaged=averaged, **optimizers, **schedulers)
+    state = Checkpoint(loss=loss, averaged=averaged, **optimizers)
     frames = utils.resume(cfg, state)
+    schedule = utils.make_schedule(cfg, optimizers["actor"], frames)
     # In the card of a policy stands what it was trained in.
     cfg.compute.bfloat16 = utils.use_bfloat16(cfg, task.device)
     precision = torch.autocast(task.device.type, torch.bfloat16, enabled=cfg.compute.bfloat16)
@@ -111,8 +112,7 @@ def main(cfg: DictConfig) -> None:
                         metrics |= costs
                 metrics |= losses
         if trains_actor:
-            for scheduler in schedulers.values():
-                scheduler.step()
+            schedule.step()
         metrics["failed"] = utils.failure_rate(data)
         logged = {f"train/{name}": value.detach().mean() for name, value in metrics.items()}
         log_metrics(loggers, logged, frames)

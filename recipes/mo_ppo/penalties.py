@@ -1,4 +1,4 @@
-"""What the actor of MO-PPO pays for beside its returns: leaving the demonstrated style, and jerks."""
+"""What the actor of MO-PPO pays for beside its returns: leaving the demonstrated style, jerks, and standing still."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def compute(
     sigma: Tensor,
     demo: int | None,
 ) -> dict[str, Tensor]:
-    """What an actor pays for beside its returns: :func:`smoothness` and :func:`anchor`.
+    """What an actor pays for beside its returns: smoothness, standing still, and the anchor.
 
     Args:
         cfg: the configuration.
@@ -34,6 +34,8 @@ def compute(
     found = {}
     if cfg.loss.smoothness_coeff:
         found["smoothness"] = smoothness(batch, action, mean)
+    if cfg.loss.standing_coeff:
+        found["standing"] = standing(action)
     if demo is not None:
         # The demonstrated style is a learned reward: see config.yaml.
         radius = cfg.loss.anchor_radius
@@ -106,3 +108,20 @@ def smoothness(batch: TensorDictBase, action: Tensor, actor: TensorDictSequentia
     change = actor(later)["action"] - action
     continues = ~batch["next", "done"].squeeze(-1)
     return (change[..., 1].square() * continues).mean()
+
+
+def standing(action: Tensor) -> Tensor:
+    """How nearly a policy stands still, mean square.
+
+    Where a policy without noise neither drives nor turns it observes the same again and stays for
+    ever, which noise hides from the training.
+
+    Args:
+        action: in [-1, 1], speed and turn rate, ``[*B, 2]``.
+
+    Returns:
+        A number: 1 where all stand, 0 where all drive at a tenth of their speed or turn at a
+        twentieth of their rate at least.
+    """
+    speed, turn = (action[..., 0] + 1) / 2, action[..., 1].abs()
+    return (1 - speed / 0.1 - turn / 0.05).clamp(min=0.0).square().mean()

@@ -76,7 +76,7 @@ def check(cfg: DictConfig) -> None:
             "loss.anchor_window must be an odd number of steps, 1 for no average, "
             f"got {cfg.loss.anchor_window}."
         )
-    for name in ("anchor_coeff", "anchor_radius", "smoothness_coeff"):
+    for name in ("anchor_coeff", "anchor_radius", "smoothness_coeff", "standing_coeff"):
         if cfg.loss[name] < 0:
             raise ValueError(f"loss.{name} must not be negative, got {cfg.loss[name]}.")
 
@@ -129,7 +129,7 @@ def resume(cfg: DictConfig, state: Checkpoint) -> int:
     """Load the last checkpoint of the run that ``resume`` names, if it names one.
 
     Args:
-        cfg: the configuration, the same as that of the run.
+        cfg: the configuration; what it changes holds from here on.
         state: of what a checkpoint holds.
 
     Returns:
@@ -265,11 +265,9 @@ def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
     )
 
 
-def make_optimizers(
-    cfg: DictConfig, loss: ClipPPOLoss
-) -> tuple[dict[str, torch.optim.Optimizer], dict[str, torch.optim.lr_scheduler.LRScheduler]]:
-    """Adam for each network; the actor's rate falls linearly to a twentieth over the training."""
-    optimizers = {
+def make_optimizers(cfg: DictConfig, loss: ClipPPOLoss) -> dict[str, torch.optim.Optimizer]:
+    """Adam for each network."""
+    return {
         "actor": torch.optim.Adam(
             loss.actor_network_params.flatten_keys().values(), lr=cfg.optim.lr, fused=True
         ),
@@ -277,14 +275,27 @@ def make_optimizers(
             loss.critic_network_params.flatten_keys().values(), lr=cfg.optim.critic_lr, fused=True
         ),
     }
+
+
+def make_schedule(
+    cfg: DictConfig, optimizer: torch.optim.Optimizer, frames: int
+) -> torch.optim.lr_scheduler.LambdaLR:
+    """Lets the actor's rate fall linearly to a twentieth over the training.
+
+    Args:
+        cfg: the configuration; the rate is that of ``optim.lr``, also where the optimizer was loaded.
+        optimizer: of the actor.
+        frames: how many have been collected already. A run that goes on with a greater
+            ``collector.total_frames`` takes the rate that such a run has at that point.
+    """
     batches = -(-cfg.collector.total_frames // cfg.collector.frames_per_batch)
-    decay = torch.optim.lr_scheduler.LinearLR(
-        optimizers["actor"],
-        start_factor=1.0,
-        end_factor=0.05,
-        total_iters=max(1, batches - cfg.optim.critic_batches),
+    updated = max(0, frames // cfg.collector.frames_per_batch - cfg.optim.critic_batches)
+    updates = max(1, batches - cfg.optim.critic_batches)
+    for group in optimizer.param_groups:
+        group["lr"] = group["initial_lr"] = cfg.optim.lr
+    return torch.optim.lr_scheduler.LambdaLR(
+        optimizer, lambda step: 1 - 0.95 * min(1.0, (updated + step) / updates)
     )
-    return optimizers, {"actor_schedule": decay}
 
 
 def save(
