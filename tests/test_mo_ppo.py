@@ -184,6 +184,7 @@ def test_goes_on_from_the_last_checkpoint(polished, tmp_path):
     rotation = CheckpointRotation(resumed / "checkpoints", keep_last=1)
     manifest = Checkpoint.manifest(rotation.latest())
     assert manifest["metadata"]["frames"] == 192
+    assert manifest["metadata"]["schedule"] == 192
 
     class Sink:
         def load_state_dict(self, state):
@@ -198,7 +199,7 @@ def test_goes_on_from_the_last_checkpoint(polished, tmp_path):
 
 
 def test_the_rate_falls_over_all_frames_of_a_training():
-    def rates(frames, total, steps, loaded=None):
+    def rates(frames, total, steps, *, begin=0, loaded=None):
         """Of the actor, at the first batch and after every further one."""
         optimizer = torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))], lr=0.2)
         if loaded is not None:
@@ -209,7 +210,7 @@ def test_the_rate_falls_over_all_frames_of_a_training():
                 "optim": {"lr": 0.2, "critic_batches": 2},
             }
         )
-        schedule = utils.make_schedule(cfg, optimizer, frames)
+        schedule = utils.make_schedule(cfg, optimizer, frames, begin)
         found = [optimizer.param_groups[0]["lr"]]
         for _ in range(steps):
             optimizer.step()
@@ -218,18 +219,16 @@ def test_the_rate_falls_over_all_frames_of_a_training():
         return found, optimizer.state_dict()
 
     # Twelve batches, two of which are for the critic alone: ten steps down to a twentieth.
-    whole = rates(0, 120, 10)[0]
+    whole, over = rates(0, 120, 10)
     assert whole == pytest.approx([0.2 - 0.019 * step for step in range(11)])
     # Cut after six batches, four of which had an update.
-    state = rates(0, 120, 4)[1]
-    assert rates(60, 120, 6, state)[0] == pytest.approx(whole[4:])
-    # A training that is over goes on to twice as many: at the rate that it has there.
-    state = rates(0, 120, 10)[1]
-    longer = rates(0, 240, 22)[0]
-    assert rates(120, 240, 12, state)[0] == pytest.approx(longer[10:])
-    assert longer[-1] == pytest.approx(0.01)
-    # The critic alone, so far.
-    assert rates(10, 120, 0, state)[0] == pytest.approx([0.2])
+    cut = rates(0, 120, 4)[1]
+    assert rates(60, 120, 6, loaded=cut)[0] == pytest.approx(whole[4:])
+    # Cut while the critic was alone.
+    assert rates(10, 120, 0, loaded=cut)[0] == pytest.approx([0.2])
+    # It was over, and goes on for ten batches; that was cut after four.
+    assert rates(120, 220, 10, begin=120, loaded=over)[0] == pytest.approx(whole)
+    assert rates(160, 220, 6, begin=120, loaded=cut)[0] == pytest.approx(whole[4:])
 
 
 @pytest.mark.parametrize(

@@ -49,8 +49,8 @@ def main(cfg: DictConfig) -> None:
     optimizers = utils.make_optimizers(cfg, loss)
     replay_buffer = utils.make_replay_buffer(cfg, task)
     state = Checkpoint(loss=loss, averaged=averaged, **optimizers)
-    frames = utils.resume(cfg, state)
-    schedule = utils.make_schedule(cfg, optimizers["actor"], frames)
+    frames, begin = utils.resume(cfg, state)
+    schedule = utils.make_schedule(cfg, optimizers["actor"], frames, begin)
     # In the card of a policy stands what it was trained in.
     cfg.compute.bfloat16 = utils.use_bfloat16(cfg, task.device)
     precision = torch.autocast(task.device.type, torch.bfloat16, enabled=cfg.compute.bfloat16)
@@ -124,7 +124,9 @@ def main(cfg: DictConfig) -> None:
                     cfg, task.eval_env, averaged.module, task.space, task.demonstration
                 )
             log_metrics(loggers, result.metrics, frames)
-            metadata = {"score": result.score, "frames": frames}
+            # What goes on from the end has a schedule of its own.
+            next_begin = frames if last else begin
+            metadata = {"score": result.score, "frames": frames, "schedule": next_begin}
             checkpoints.save(state, step=frames, metadata=metadata)
             utils.save(task, cfg, frames, averaged.module, result, card)
             tqdm.tqdm.write(result.table(frames))

@@ -125,7 +125,7 @@ def check_start(
     pd_morl.check_observation(cfg, cfg.policy, start[0].module[0].in_features - space.num_tunable)
 
 
-def resume(cfg: DictConfig, state: Checkpoint) -> int:
+def resume(cfg: DictConfig, state: Checkpoint) -> tuple[int, int]:
     """Load the last checkpoint of the run that ``resume`` names, if it names one.
 
     Args:
@@ -133,28 +133,30 @@ def resume(cfg: DictConfig, state: Checkpoint) -> int:
         state: of what a checkpoint holds.
 
     Returns:
-        How many frames it has seen.
+        How many frames it has seen, and after how many the schedule of the learning rate begins: see
+        :func:`make_schedule`.
 
     Raises:
         FileNotFoundError: if there is no checkpoint.
         ValueError: if nothing is left to be done.
     """
     if cfg.resume is None:
-        return 0
+        return 0, 0
     latest = CheckpointRotation(Path(cfg.resume) / "checkpoints", keep_last=1).latest()
     if latest is None:
         raise FileNotFoundError(
             f"resume={cfg.resume} has no checkpoint: it must be the folder of a run of MO-PPO that "
             "has been evaluated at least once."
         )
-    frames = Checkpoint.manifest(latest)["metadata"]["frames"]
+    metadata = Checkpoint.manifest(latest)["metadata"]
+    frames = metadata["frames"]
     if frames >= cfg.collector.total_frames:
         raise ValueError(
             f"resume={cfg.resume} has seen {frames} frames already: collector.total_frames must be "
             f"greater, got {cfg.collector.total_frames}."
         )
     state.load(latest)
-    return frames
+    return frames, metadata["schedule"]
 
 
 def make_policy(
@@ -278,23 +280,26 @@ def make_optimizers(cfg: DictConfig, loss: ClipPPOLoss) -> dict[str, torch.optim
 
 
 def make_schedule(
-    cfg: DictConfig, optimizer: torch.optim.Optimizer, frames: int
+    cfg: DictConfig, optimizer: torch.optim.Optimizer, frames: int, begin: int
 ) -> torch.optim.lr_scheduler.LambdaLR:
-    """Lets the actor's rate fall linearly to a twentieth over the training.
+    """Lets the actor's rate fall linearly to a twentieth until the end of the training.
 
     Args:
         cfg: the configuration; the rate is that of ``optim.lr``, also where the optimizer was loaded.
         optimizer: of the actor.
-        frames: how many have been collected already. A run that goes on with a greater
-            ``collector.total_frames`` takes the rate that such a run has at that point.
+        frames: how many have been collected already.
+        begin: after how many frames it begins to fall: 0, or, of a run that goes on from one that was
+            over, those of that one. The rate then falls anew, a warm restart
+            (https://arxiv.org/abs/1608.03983).
     """
-    batches = -(-cfg.collector.total_frames // cfg.collector.frames_per_batch)
-    updated = max(0, frames // cfg.collector.frames_per_batch - cfg.optim.critic_batches)
-    updates = max(1, batches - cfg.optim.critic_batches)
+    size = cfg.collector.frames_per_batch
+    batches = -(-(cfg.collector.total_frames - begin) // size)
+    waits = cfg.optim.critic_batches if begin == 0 else 0
+    done, updates = max(0, (frames - begin) // size - waits), max(1, batches - waits)
     for group in optimizer.param_groups:
         group["lr"] = group["initial_lr"] = cfg.optim.lr
     return torch.optim.lr_scheduler.LambdaLR(
-        optimizer, lambda step: 1 - 0.95 * min(1.0, (updated + step) / updates)
+        optimizer, lambda step: 1 - 0.95 * min(1.0, (done + step) / updates)
     )
 
 
