@@ -256,6 +256,7 @@ _PEERS = ("morl_baselines",)
 SYSTEMS: dict[str, System] = {
     OURS: System(_ours, _SHIPPED.compute.compile, _SHIPPED.compute.matmul_precision),
     "ours, float32": System(_ours, _SHIPPED.compute.compile),
+    "ours, bfloat16": System(_ours, _SHIPPED.compute.compile, "medium"),
     "ours, float32, eager": System(_ours),
     OURS_EQUAL: System(_with(_ours, *EQUAL_WORK), _SHIPPED.compute.compile),
     "ours, equal work, eager": System(_with(_ours, *EQUAL_WORK)),
