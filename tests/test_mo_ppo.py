@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -196,6 +198,36 @@ def test_goes_on_from_the_last_checkpoint(polished, tmp_path):
     critic = Sink()
     Checkpoint(critic=critic).load(rotation.latest(), components=["critic"], strict="warn")
     assert {int(entry["step"]) for entry in critic.state["state"].values()} == {12}
+
+
+def test_checkpoints_say_where_the_schedule_begins(polished, tmp_path, monkeypatch):
+    start, folder = polished
+    saved, save = [], CheckpointRotation.save
+
+    def record(self, *args, metadata, **kwargs):
+        saved.append((metadata["frames"], metadata["schedule"]))
+        return save(self, *args, metadata=metadata, **kwargs)
+
+    monkeypatch.setattr(CheckpointRotation, "save", record)
+    run(tmp_path / "run", start)
+    # Cut short anywhere it goes on with its own schedule; what follows its end begins another.
+    assert saved == [(64, 0), (128, 128)]
+    run(tmp_path / "more", start, f"resume={folder}", "collector.total_frames=256")
+    assert saved[2:] == [(192, 128), (256, 256)]
+
+
+def test_refuses_a_checkpoint_that_does_not_say_where_it_stands(polished, tmp_path):
+    start, folder = polished
+    old = tmp_path / "old"
+    shutil.copytree(folder / "checkpoints", old / "checkpoints")
+    for path in old.glob("checkpoints/*/manifest.json"):
+        manifest = json.loads(path.read_text())
+        del manifest["metadata"]["schedule"]
+        path.write_text(json.dumps(manifest))
+    more = (f"resume={old}", "collector.total_frames=192")
+    with pytest.raises(ValueError, match=r"its checkpoint lacks \['schedule'\]"):
+        run(tmp_path / "run", start, *more)
+    assert not (tmp_path / "run" / "policies").exists()
 
 
 def test_the_rate_falls_over_all_frames_of_a_training():

@@ -1,4 +1,4 @@
-"""What the actor of MO-PPO pays for beside its returns: leaving the demonstrated style, jerks, and standing still."""
+"""What the actor of MO-PPO pays for beside its returns: leaving a style, jerks, standing still."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def resume(cfg: DictConfig, state: Checkpoint) -> tuple[int, int]:
 
     Raises:
         FileNotFoundError: if there is no checkpoint.
-        ValueError: if nothing is left to be done.
+        ValueError: if nothing is left to be done, or if the checkpoint does not say where it stands.
     """
     if cfg.resume is None:
         return 0, 0
@@ -149,6 +149,11 @@ def resume(cfg: DictConfig, state: Checkpoint) -> tuple[int, int]:
             "has been evaluated at least once."
         )
     metadata = Checkpoint.manifest(latest)["metadata"]
+    if missing := {"frames", "schedule"} - metadata.keys():
+        raise ValueError(
+            f"resume={cfg.resume}: its checkpoint lacks {sorted(missing)}, as those of earlier "
+            "versions do. Go on with the version that wrote it, or start anew."
+        )
     frames = metadata["frames"]
     if frames >= cfg.collector.total_frames:
         raise ValueError(
@@ -299,7 +304,7 @@ def make_schedule(
     for group in optimizer.param_groups:
         group["lr"] = group["initial_lr"] = cfg.optim.lr
     return torch.optim.lr_scheduler.LambdaLR(
-        optimizer, lambda step: 1 - 0.95 * min(1.0, (done + step) / updates)
+        optimizer, lambda step: 1 - 0.95 * min(1.0, step / updates), last_epoch=done - 1
     )
 
 
