@@ -35,15 +35,21 @@ def main() -> None:
     output = output.resolve()
     drex, morl, ppo = (output / name for name in ("drex", "pd_morl", "mo_ppo"))
 
+    # The stages take turns: a second thread makes 1.36 times PD-MORL's updates on an idle machine.
+    threads = min(2, len(os.sched_getaffinity(0)))
     stages = {
-        "D-REX": ["recipes.drex.drex", f"hydra.run.dir={drex}", *args.drex],
+        "D-REX": [
+            "recipes.drex.drex",
+            f"hydra.run.dir={drex}",
+            f"torch_threads={threads}",
+            *args.drex,
+        ],
         "PD-MORL": [
             "recipes.pd_morl.pd_morl",
             f"hydra.run.dir={morl}",
             f"demonstrations.reward_model={drex / 'reward_model'}",
             f"demonstrations.dataset={drex / 'demonstrations.safetensors'}",
-            # The stages take turns: a second thread makes 1.36 times the updates on an idle machine.
-            f"compute.torch_threads={min(2, len(os.sched_getaffinity(0)))}",
+            f"compute.torch_threads={threads}",
             *args.pd_morl,
         ],
     }

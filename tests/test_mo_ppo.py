@@ -86,8 +86,8 @@ def test_writes_policies_that_load(polished):
     assert space == SPACE
     assert card["start"]["config"] == CONFIG
     assert card["config"]["loss"]["lmbda"] == 0.8
-    # What was null is what the policy was trained in.
-    own = {"num_envs": 4, "num_threads": 1, "repeat_failed": 0.25}
+    # What was null is what the policy was trained in, but for the scene: that of its evaluations.
+    own = {"scene": "static", "num_envs": 4, "num_threads": 1, "repeat_failed": 0.25}
     assert card["config"]["env"] == CONFIG["env"] | own
     assert card["config"]["evaluation"]["scene"] == "static"
     before, *_ = load_policy(start)

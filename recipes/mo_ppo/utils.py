@@ -84,6 +84,8 @@ def check(cfg: DictConfig) -> None:
 def complete(cfg: DictConfig, card: dict[str, Any]) -> DictConfig:
     """The configuration with what is null in ``env`` and ``evaluation`` taken from the policy's card.
 
+    The scene is that of the policy's evaluations: PD-MORL may have trained in another one.
+
     Args:
         cfg: as given.
         card: of the policy.
@@ -92,8 +94,10 @@ def complete(cfg: DictConfig, card: dict[str, Any]) -> DictConfig:
         ValueError: if the card does not tell.
     """
     cfg = cfg.copy()
-    for part in ("env", "evaluation"):
-        trained = card.get("config", {}).get(part, {})
+    evaluation = card.get("config", {}).get("evaluation", {})
+    env = card.get("config", {}).get("env", {})
+    env = env | {name: evaluation[name] for name in ("scene",) if name in evaluation}
+    for part, trained in {"env": env, "evaluation": evaluation}.items():
         given = {name: value for name, value in cfg[part].items() if value is not None}
         known = {name: trained[name] for name in cfg[part] if name in trained}
         cfg[part] = {**known, **given}
