@@ -131,6 +131,7 @@ def test_anchor_holds_a_policy_with_demonstrations(tmp_path):
             f"demonstrations.reward_model={tmp_path / 'model'}",
             f"loss.anchor_coeff={coefficient}",
             "loss.anchor_radius=100",  # everywhere: few of these short episodes meet the human
+            "env.max_episode_steps=300",  # what ends too late is not held
             *("optim.lr=1e-2", "optim.epochs=3"),
             *("collector.total_frames=320", "evaluation.interval=320"),
         )

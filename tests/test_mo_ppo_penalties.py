@@ -21,18 +21,19 @@ def test_anchor_by_hand():
         return actor
 
     batch = TensorDict(
-        observation=torch.randn(3, 4),
-        preference=torch.tensor([[1.0, 0.0], [0.5, 0.5], [1.0, 0.0]]),
-        human=torch.tensor([[2.4, 1.0], [0.5, -2.0], [2.6, 1.0]]),
-        batch_size=[3],
+        observation=torch.randn(4, 4),
+        preference=torch.tensor([[1.0, 0.0], [0.5, 0.5], [1.0, 0.0], [1.0, 0.0]]),
+        human=torch.tensor([[2.4, 1.0], [0.5, -2.0], [2.6, 1.0], [1.0, 0.0]]),
+        fails=torch.tensor([False, False, False, True]),
+        batch_size=[4],
     )
     # 0.2 apart, a standard deviation of 0.1: 2 nats, of which ln(1 + 2), weighed by 1, 1/8 and, where
-    # nobody is near, 0.
+    # nobody is near or what leads to a failure, 0.
     batch["start_action"] = policy(0.1)(batch.clone())["action"].detach()
     action = policy(0.3)(batch.clone())["action"]
     sigma = torch.tensor([0.5, 0.1])
     distance = penalties.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
-    torch.testing.assert_close(distance, torch.tensor(math.log(3) * 1.125 / 3))
+    torch.testing.assert_close(distance, torch.tensor(math.log(3) * 1.125 / 4))
     # Ten times as far is a hundred times as many nats, and costs less than five times as much.
     far = penalties.anchor(
         batch, 10 * action - 9 * batch["start_action"], sigma=sigma, objective=0, radius=2.5

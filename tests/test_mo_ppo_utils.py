@@ -54,6 +54,19 @@ def test_failures_are_the_episodes_that_end_elsewhere():
     assert math.isnan(rate([False] * 4, [False] * 4))
 
 
+def test_what_leads_to_a_failure_is_known():
+    # An environment a row: arrives at its third step, then fails at its fifth, and goes on; drives on.
+    done = torch.tensor([[0, 0, 1, 0, 1, 0], [0] * 6], dtype=torch.bool).unsqueeze(-1)
+    success = torch.tensor([[0, 0, 1, 0, 0, 0], [0] * 6], dtype=torch.bool).unsqueeze(-1)
+    data = TensorDict(
+        collector=TensorDict(traj_ids=torch.tensor([[0, 0, 0, 2, 2, 3], [1] * 6])),
+        next=TensorDict(done=done, success=success, batch_size=[2, 6]),
+        batch_size=[2, 6],
+    )
+    expected = torch.tensor([[0, 0, 0, 1, 1, 0], [0] * 6], dtype=torch.bool)
+    assert torch.equal(utils.failing(data), expected)
+
+
 def test_bfloat16_rounds_layers_and_not_actions():
     torch.manual_seed(0)
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
@@ -114,6 +127,7 @@ def test_gradients_go_where_they_belong():
     MultiObjectiveGAE(gamma=0.9, lmbda=0.8, value_network=critic, preference_space=SPACE)(data)
     data["start_action"] = torch.zeros(6, 8, 2)
     data["human"] = torch.ones(6, 8, 2)
+    data["fails"] = torch.zeros(6, 8, dtype=torch.bool)
     batch = data.reshape(-1).select(*utils.BATCH)
     losses = loss(batch)
 

@@ -87,6 +87,7 @@ def main(cfg: DictConfig) -> None:
                 data["collector", "traj_ids"],
                 window=cfg.loss.anchor_window,
             )
+            data["fails"] = utils.failing(data)
         replay_buffer.empty()
         replay_buffer.extend(data.reshape(-1).select(*utils.BATCH))
 

@@ -72,11 +72,12 @@ def anchor(
 
     A mean over the transitions, weighed by the cube of the weight of the objective: it holds a corner
     of the preferences and leaves the middle free. Far from the human it holds nothing: styles differ
-    in how a person is passed, and the rest of the way only has to be driven well.
+    in how a person is passed, and the rest of the way only has to be driven well. Nor does it hold
+    what ends in a failure: the policy at the start may have led there.
 
     Args:
         batch: of transitions, with the ``start_action`` of the policy at the start, averaged over time or
-            not, and ``human``.
+            not, ``human``, and which steps lead to a failure, ``fails``.
         action: the mean of the policy there, ``[*B, A]``.
 
     Keyword Args:
@@ -85,7 +86,8 @@ def anchor(
         radius: around the human, metres.
     """
     divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
-    weight = batch["preference"][..., objective] ** 3 * (batch["human"][..., 0] < radius)
+    held = (batch["human"][..., 0] < radius) & ~batch["fails"]
+    weight = batch["preference"][..., objective] ** 3 * held
     return (weight * divergence.log1p()).mean()
 
 

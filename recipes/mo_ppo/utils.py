@@ -39,6 +39,7 @@ BATCH = (
     "value_target",
     "start_action",
     "human",
+    "fails",
     ("next", "observation"),
     ("next", "done"),
 )
@@ -255,6 +256,13 @@ def failure_rate(data: TensorDictBase) -> Tensor:
     """Share of the episodes ending in a batch that do not end at the goal; NaN where none ends."""
     ended = data["next", "done"]
     return (ended & ~data["next", "success"]).sum() / ended.sum()
+
+
+def failing(data: TensorDictBase) -> Tensor:
+    """Which steps lead to a failure: their episode ends in this batch, and not at the goal, ``[E, T]``."""
+    episode = data["collector", "traj_ids"]
+    failed = (data["next", "done"] & ~data["next", "success"]).squeeze(-1)
+    return torch.isin(episode, episode[failed])
 
 
 def use_bfloat16(cfg: DictConfig, device: torch.device) -> bool:
