@@ -189,7 +189,8 @@ class BareLoop(TD3Learner):
             gap = (weights * (second - first)).sum(-1, keepdim=True)
             target = reward + cfg.gamma * (1 - done) * torch.where(gap < 0, second, first)
         values = [self._value(state, preference, action, critic) for critic in self.critics]
-        loss = sum((value - target).square().mean() for value in values)
+        error = F.smooth_l1_loss if cfg.loss_function == "smooth_l1" else F.mse_loss
+        loss = sum(error(value, target) for value in values)
         if self.angle is not None and cfg.angle_coeff_critic:
             for value in values:
                 angle = self._direction_angle(preference, value)

@@ -59,8 +59,8 @@ def _stages(learner, names, seed):
 
 @pytest.mark.parametrize(
     "overrides",
-    [(), EQUAL_WORK, ("loss.angle_coeff_critic=0.3",)],
-    ids=["shipped", "equal_work", "critic_angle"],
+    [(), EQUAL_WORK, ("loss.angle_coeff_critic=0.3",), ("loss.loss_function=l2",)],
+    ids=["shipped", "equal_work", "critic_angle", "squared_errors"],
 )
 def test_bare_loop_is_the_same_maths(data, overrides):
     """Losses of several updates from the same weights, batches and noise."""
