@@ -95,9 +95,10 @@ def complete(cfg: DictConfig, card: dict[str, Any]) -> DictConfig:
         ValueError: if the card does not tell.
     """
     cfg = cfg.copy()
-    evaluation = card.get("config", {}).get("evaluation", {})
-    env = card.get("config", {}).get("env", {})
-    env = env | {name: evaluation[name] for name in ("scene",) if name in evaluation}
+    trained_in = card.get("config", {})
+    evaluation, env = trained_in.get("evaluation", {}), dict(trained_in.get("env", {}))
+    if "scene" in evaluation:
+        env["scene"] = evaluation["scene"]
     for part, trained in {"env": env, "evaluation": evaluation}.items():
         given = {name: value for name, value in cfg[part].items() if value is not None}
         known = {name: trained[name] for name in cfg[part] if name in trained}
@@ -252,17 +253,20 @@ def make_loss(
     return loss
 
 
+def failed(data: TensorDictBase) -> Tensor:
+    """Which steps end an episode, and not at the goal, ``[E, T, 1]``."""
+    return data["next", "done"] & ~data["next", "success"]
+
+
 def failure_rate(data: TensorDictBase) -> Tensor:
     """Share of the episodes ending in a batch that do not end at the goal; NaN where none ends."""
-    ended = data["next", "done"]
-    return (ended & ~data["next", "success"]).sum() / ended.sum()
+    return failed(data).sum() / data["next", "done"].sum()
 
 
 def failing(data: TensorDictBase) -> Tensor:
-    """Which steps lead to a failure: their episode ends in this batch, and not at the goal, ``[E, T]``."""
+    """Which steps belong to an episode that ends in this batch, and not at the goal, ``[E, T]``."""
     episode = data["collector", "traj_ids"]
-    failed = (data["next", "done"] & ~data["next", "success"]).squeeze(-1)
-    return torch.isin(episode, episode[failed])
+    return torch.isin(episode, episode[failed(data).squeeze(-1)])
 
 
 def use_bfloat16(cfg: DictConfig, device: torch.device) -> bool:
