@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -64,6 +66,15 @@ class TestCheckFinite(TransformTests):
     def test_integers_and_flags_are_finite(self):
         data = {"count": torch.arange(3), "flag": torch.ones(2, dtype=torch.bool)}
         check_finite(data, ["count", "flag"])
+
+    def test_a_sum_that_overflows_is_no_reason(self):
+        large = torch.full((4,), 3e38)
+        check_finite(
+            {"scan": large, "phase": torch.ones(2, dtype=torch.complex64)}, ["scan", "phase"]
+        )
+        large[2] = float("nan")
+        with pytest.raises(ValueError, match=re.escape("'scan'[2] = nan")):
+            check_finite({"scan": large}, ["scan"])
 
     def test_missing_key(self):
         with pytest.raises(KeyError, match="human"):

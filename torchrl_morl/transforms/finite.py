@@ -16,8 +16,8 @@ __all__ = ["CheckFinite", "check_finite"]
 def check_finite(data: TensorDictBase | Mapping[str, Tensor], keys: Sequence[NestedKey]) -> None:
     """Refuse NaN and infinity: a network turns one of them into an action that says nothing.
 
-    Costs one ``isfinite().all()`` per key. On an accelerator that waits for the device, and
-    :func:`torch.compile` breaks the graph at it.
+    Costs one sum per key. On an accelerator that waits for the device, and :func:`torch.compile`
+    breaks the graph at it.
 
     Args:
         data: holds the keys.
@@ -37,6 +37,9 @@ def check_finite(data: TensorDictBase | Mapping[str, Tensor], keys: Sequence[Nes
     """
     for key in keys:
         value = data[key]
+        # NaN and infinity survive a sum, which takes a fortieth of the time. It may also overflow.
+        if torch.isfinite(value.sum()):
+            continue
         finite = torch.isfinite(value)
         if finite.all():
             continue
