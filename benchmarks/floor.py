@@ -24,15 +24,13 @@ class MatrixRate:
     """Floating point operations per second, measured anew at every call.
 
     Args:
-        precision: see :func:`torch.set_float32_matmul_precision`.
+        precision: of the matrices.
     """
 
-    def __init__(self, precision: str) -> None:
-        self.precision = precision
-        self.matrices = {size: torch.randn(size, size) for size in _SIZES}
+    def __init__(self, precision: torch.dtype) -> None:
+        self.matrices = {size: torch.randn(size, size).to(precision) for size in _SIZES}
 
     def __call__(self, clock: Callable[[], float] = time.perf_counter) -> float:
-        torch.set_float32_matmul_precision(self.precision)
         rates = []
         for size, number in _SIZES.items():
             matrix = self.matrices[size]

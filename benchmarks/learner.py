@@ -40,7 +40,7 @@ Spent = dict[tuple[str, int], Counter[str]]
 Clock = Callable[[], float]
 CLOCKS: dict[str, Clock] = {"wall": time.perf_counter, "cpu": time.process_time}
 
-PRECISIONS = ("highest", "medium")
+PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 
 
 def available(names: list[str]) -> tuple[list[str], dict[str, str]]:
@@ -54,14 +54,9 @@ def available(names: list[str]) -> tuple[list[str], dict[str, str]]:
     return [name for name in names if name not in missing], missing
 
 
-def set_up(system: System, threads: int) -> None:
-    torch.set_num_threads(threads)
-    torch.set_float32_matmul_precision(system.precision)
-
-
 def count_flops(system: System, data) -> float:
     """Operations per update, in the mean over a cycle of the policy delay."""
-    set_up(system, 1)
+    torch.set_num_threads(1)
     learner = system.make(data, False)
 
     def cycle() -> None:
@@ -85,7 +80,7 @@ def measure(
     torch._dynamo.config.recompile_limit = 64
     data = transitions(size)
     operations = {name: count_flops(SYSTEMS[name], data[:1000]) for name in names}
-    products = {precision: MatrixRate(precision) for precision in PRECISIONS}
+    products = {name: MatrixRate(precision) for name, precision in PRECISIONS.items()}
     learners: dict[str, Learner] = {}
     rates: Rates = {}
     spent: Spent = {}
@@ -94,7 +89,7 @@ def measure(
         for name in names:
             learners[name] = SYSTEMS[name].make(data, compiled and SYSTEMS[name].compiled)
             for number in threads:
-                set_up(SYSTEMS[name], number)
+                torch.set_num_threads(number)
                 turn(learners[name], clock)
                 progress.update()
         for repetition in range(rounds):
@@ -106,7 +101,6 @@ def measure(
                     for precision, product in products.items():
                         this[precision, number] = product(clock)
                     for name in names:
-                        set_up(SYSTEMS[name], number)
                         stages = spent.setdefault((name, number), Counter())
                         this[name, number] = turn(learners[name], clock, stages)
                         progress.update()
@@ -183,7 +177,7 @@ def report(
     for threads in sorted({number for _, number in rates}):
         lines += [f"{threads} thread{'s' * (threads > 1)}:", "", table(rates, operations, threads)]
         products = ", ".join(
-            f'{statistics.median(rates[precision, threads]) / 1e9:.0f} ("{precision}")'
+            f"{statistics.median(rates[precision, threads]) / 1e9:.0f} in {precision}"
             for precision in PRECISIONS
         )
         lines += ["", f"matrix products, GFLOP/s: {products}", ""]

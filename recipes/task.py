@@ -44,7 +44,6 @@ def make_task(cfg: DictConfig) -> Task:
         ValueError: for a configuration that the environment refuses.
     """
     torch.set_num_threads(cfg.compute.torch_threads)
-    torch.set_float32_matmul_precision(cfg.compute.matmul_precision)
     torch.manual_seed(cfg.seed)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
     files.check_run_dir(run_dir)

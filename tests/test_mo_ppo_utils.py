@@ -29,7 +29,7 @@ def configuration(*overrides: str) -> DictConfig:
 
 def test_likelihood_and_bounds():
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
-    _, noisy, policy = utils.make_policy(actor, torch.tensor([0.5, 0.25]))
+    noisy, policy = utils.make_policy(actor, torch.tensor([0.5, 0.25]))
     data = TensorDict(
         observation=torch.randn(200, 4), preference=torch.rand(200, 2), batch_size=[200]
     )
@@ -72,35 +72,21 @@ def test_bfloat16_rounds_layers_and_not_actions():
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
     with torch.no_grad():
         actor[0].module[-1].bias.fill_(3.0)  # tanh 0.9951, between two numbers of bfloat16
-    mean, noisy, _ = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+    noisy, _ = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
     data = TensorDict(observation=torch.randn(50, 4), preference=torch.rand(50, 2), batch_size=[50])
     exact = actor(data.clone())["action"]
     with torch.autocast("cpu", torch.bfloat16):
-        rounded = mean(data.clone())
+        rounded = actor(data.clone())
         density = noisy.get_dist(data.clone()).log_prob(exact)
     assert rounded["action"].dtype == rounded["pre_tanh"].dtype == density.dtype == torch.float32
     assert not torch.equal(rounded["action"], exact)
     torch.testing.assert_close(rounded["action"], exact, atol=3e-4, rtol=0)
 
 
-@pytest.mark.parametrize("given", [True, False])
-def test_bfloat16_as_asked_for(given):
-    cfg = configuration(f"compute.bfloat16={given}")
-    assert utils.use_bfloat16(cfg, torch.device("cpu")) is given
-
-
-@pytest.mark.parametrize("feature", ["avx512_bf16", "amx_bf16", None])
-def test_bfloat16_where_the_processor_has_it(feature, monkeypatch):
-    found = dict.fromkeys(("avx512_bf16", "amx_bf16"), False) | {feature: True}
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: found)
-    cfg = configuration("compute.bfloat16=null")
-    assert utils.use_bfloat16(cfg, torch.device("cpu")) is (feature is not None)
-
-
 def test_gradients_go_where_they_belong():
     torch.manual_seed(0)
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
-    mean, noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+    noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
     critic = make_vector_critic(
         3,
         in_features=4 + 2,
@@ -142,8 +128,8 @@ def test_gradients_go_where_they_belong():
 
     assert trained(losses["loss_objective"]) == {"actor"}
     assert trained(losses["loss_critic"]) == {"critic"}
-    action = mean(batch.select(*mean.in_keys))["action"]
-    assert trained(penalties.smoothness(batch, action, mean)) == {"actor"}
+    action = actor(batch.select(*actor.in_keys))["action"]
+    assert trained(penalties.smoothness(batch, action, actor)) == {"actor"}
     sigma = torch.tensor([0.5, 0.1])
     held = penalties.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
     assert trained(held) == {"actor"}
@@ -153,7 +139,7 @@ def test_a_loaded_loss_is_the_policy_that_collects(tmp_path):
     def made(seed: int):
         torch.manual_seed(seed)
         actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
-        _, noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+        noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
         critic = make_vector_critic(
             3, in_features=4 + 2, in_keys=("observation", "preference"), out_key="state_value"
         )

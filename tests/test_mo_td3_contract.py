@@ -300,6 +300,36 @@ def test_without_vmap_the_losses_are_the_same():
     torch.testing.assert_close(*results)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("loss_function", ["smooth_l1", "l2"])
+def test_mixed_precision(loss_function, compiled):
+    # Without the noise of the target only the hidden layers differ.
+    loss = make_loss(loss_function=loss_function, deactivate_vmap=compiled, policy_noise=0.0)
+    SoftUpdate(loss, tau=0.1)
+    batch = make_batch(64)
+
+    def gradients(losses: list[torch.Tensor]) -> dict[str, torch.Tensor]:
+        loss.zero_grad()
+        sum(losses).backward()
+        return {name: p.grad for name, p in loss.named_parameters() if p.grad is not None}
+
+    def run(td: TensorDict) -> list[torch.Tensor]:
+        return [loss.actor_loss(td)[0], loss.value_loss(td)[0]]
+
+    exact = run(batch.clone())
+    expected = gradients(exact)
+    rounding = torch.compile(run, fullgraph=True, backend="eager") if compiled else run
+    with torch.autocast("cpu", torch.bfloat16):
+        rounded = rounding(batch.clone())
+    assert all(value.dtype == torch.float32 for value in rounded)
+    torch.testing.assert_close(rounded, exact, rtol=0.02, atol=0.01)
+    assert not torch.equal(rounded[1], exact[1])
+    found = gradients(rounded)
+    assert found.keys() == expected.keys()
+    for name, gradient in found.items():
+        assert torch.cosine_similarity(gradient.flatten(), expected[name].flatten(), dim=0) > 0.98
+
+
 @pytest.mark.parametrize("angle", ["normalized", "official"])
 @pytest.mark.parametrize("deactivate_vmap", [False, True])
 def test_compiles_to_one_graph(angle, deactivate_vmap):

@@ -122,6 +122,23 @@ def test_state_dict_keys_are_stable():
     assert list(critic.state_dict()) == layers
 
 
+def test_outputs_keep_their_digits_under_autocast():
+    torch.manual_seed(0)
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=7, num_cells=(8,), last_layer_gain=1.0)
+    critic = make_vector_critic(4, in_features=9, num_cells=(8,))
+    data = _data(50)
+    for network in (actor, critic):
+        exact = network(data.clone())
+        with torch.autocast("cpu", torch.bfloat16):
+            rounded = network(data.clone())
+        for key in network.out_keys:
+            assert rounded[key].dtype == torch.float32
+            # Of bfloat16 are the hidden layers, and not what comes after them.
+            assert not torch.equal(rounded[key], exact[key])
+            assert not torch.equal(rounded[key], rounded[key].bfloat16().float())
+            torch.testing.assert_close(rounded[key], exact[key], atol=0.02, rtol=0.02)
+
+
 @pytest.mark.parametrize("threshold", [0.99, 0.4])
 def test_saturated_fraction(threshold):
     action = torch.tensor([[0.0, 0.0], [0.5, 2.985], [0.25, -1.8], [0.001, 2.9]])

@@ -19,7 +19,7 @@ from torchrl.data import Bounded
 import recipes.evaluate
 from envs import NavigationEnv
 from envs.policy_env import OBSERVATION_SIZE
-from recipes.pd_morl.utils import compile_losses
+from recipes.pd_morl.utils import compile_losses, use_bfloat16
 from tests._command import run
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_policy
@@ -41,6 +41,7 @@ TINY = (
     "env.max_episode_steps=30",
     "optim.updates_per_batch=4",
     "compute.compile=false",
+    "compute.bfloat16=false",
 )
 
 
@@ -181,15 +182,29 @@ def test_one_seed_gives_one_policy(trained, tmp_path):
 
 
 def test_compiled_losses_train(trained, tmp_path):
-    # Other sums in the compiled losses, so not the same bits; "highest" leaves only those.
+    # As on a machine that multiplies bfloat16; any can.
     result = train(
         tmp_path / "run",
         "compute.compile=true",
-        "compute.matmul_precision=highest",
+        "compute.bfloat16=true",
         "collector.total_frames=672",
     )
     assert result.returncode == 0, result.stderr
     assert "recompile_limit" not in result.stderr
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_bfloat16_as_asked_for(given):
+    cfg = OmegaConf.create({"compute": {"bfloat16": given}})
+    assert use_bfloat16(cfg, torch.device("cpu")) is given
+
+
+@pytest.mark.parametrize("feature", ["avx512_bf16", "amx_bf16", None])
+def test_bfloat16_where_the_processor_has_it(feature, monkeypatch):
+    found = dict.fromkeys(("avx512_bf16", "amx_bf16"), False) | {feature: True}
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: found)
+    cfg = OmegaConf.create({"compute": {"bfloat16": None}})
+    assert use_bfloat16(cfg, torch.device("cpu")) is (feature is not None)
 
 
 def test_without_a_compiler_the_training_says_so(monkeypatch):

@@ -42,7 +42,6 @@ TINY = (
     "env.max_episode_steps=20",
     "optim.updates_per_batch=4",
     # A setting of the process: other tests run in it.
-    "compute.matmul_precision=highest",
 )
 
 
@@ -284,7 +283,8 @@ def test_what_is_not_specific_to_pd_morl_is_as_in_pd_morl(name):
     alone = {key for key in reference.keys() - ours.keys() if not key.startswith(("loss", "env"))}
     without_noise = {f"collector.{name}_sigma" for name in ("exploration", "final_exploration")}
     delayed = {"optim.policy_delay"}
-    own = {"evaluation.refit_momentum", "compute.compile", "network.straight_drive"}
+    own = {"evaluation.refit_momentum", "network.straight_drive"}
+    own |= {"compute.compile", "compute.bfloat16"}
     assert alone <= own | (without_noise | delayed if name == "sac" else set())
 
 

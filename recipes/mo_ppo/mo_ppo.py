@@ -22,7 +22,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import RewardScaling
 
 from recipes.pd_morl import evaluation, files
-from recipes.pd_morl.utils import crossed, log_metrics, make_loggers, step
+from recipes.pd_morl.utils import crossed, log_metrics, make_loggers, step, use_bfloat16
 from recipes.task import make_averaged, make_task
 from torchrl_morl.deploy import load_policy
 
@@ -41,7 +41,7 @@ def main(cfg: DictConfig) -> None:
     # The policy is noise around the actor; the noise is all that PPO adds to it.
     actor = copy.deepcopy(start).requires_grad_(True)
     sigma = torch.tensor(list(cfg.collector.exploration_sigma), device=task.device)
-    mean, noisy, policy = utils.make_policy(actor, sigma)
+    noisy, policy = utils.make_policy(actor, sigma)
     critic = utils.make_critic(cfg, task)
     advantage = utils.make_advantage(cfg, task, critic)
     loss = utils.make_loss(cfg, noisy, critic)
@@ -52,7 +52,7 @@ def main(cfg: DictConfig) -> None:
     frames, begin = utils.resume(cfg, state)
     schedule = utils.make_schedule(cfg, optimizers["actor"], frames, begin)
     # In the card of a policy stands what it was trained in.
-    cfg.compute.bfloat16 = utils.use_bfloat16(cfg, task.device)
+    cfg.compute.bfloat16 = use_bfloat16(cfg, task.device)
     precision = torch.autocast(task.device.type, torch.bfloat16, enabled=cfg.compute.bfloat16)
     env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
     demo = task.space.tunable.index("demo") if "demo" in task.space.tunable else None
@@ -82,8 +82,9 @@ def main(cfg: DictConfig) -> None:
         # Advantages of every objective, weighed by the preference of the episode.
         with timeit("advantage"):
             advantage(data)
+            parts = data.select(*start.in_keys).split(utils.ENVS_AT_ONCE)
             data["start_action"] = penalties.average_over_time(
-                start(data.select(*start.in_keys))["action"],
+                torch.cat([start(part)["action"] for part in parts]),
                 data["collector", "traj_ids"],
                 window=cfg.loss.anchor_window,
             )
@@ -104,7 +105,7 @@ def main(cfg: DictConfig) -> None:
                         # Penalties are smooth: a part of the batch, which is shuffled, will do.
                         part = batch[: cfg.optim.penalty_batch_size]
                         with precision:
-                            costs = penalties.compute(cfg, part, mean, sigma=sigma, demo=demo)
+                            costs = penalties.compute(cfg, part, actor, sigma=sigma, demo=demo)
                         loss_actor = losses["loss_objective"]
                         for name, cost in costs.items():
                             loss_actor = loss_actor + cfg.loss[f"{name}_coeff"] * cost

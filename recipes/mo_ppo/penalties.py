@@ -11,7 +11,7 @@ from torch import Tensor, nn
 def compute(
     cfg: DictConfig,
     batch: TensorDictBase,
-    mean: TensorDictSequential,
+    actor: TensorDictSequential,
     *,
     sigma: Tensor,
     demo: int | None,
@@ -21,7 +21,7 @@ def compute(
     Args:
         cfg: the configuration.
         batch: of transitions.
-        mean: of the policy, see :func:`~recipes.mo_ppo.utils.make_policy`.
+        actor: the mean of the policy.
 
     Keyword Args:
         sigma: standard deviations of the policy.
@@ -30,10 +30,10 @@ def compute(
     Returns:
         Of those that are asked for, before their coefficients.
     """
-    action = mean(batch.select(*mean.in_keys))["action"]
+    action = actor(batch.select(*actor.in_keys))["action"]
     found = {}
     if cfg.loss.smoothness_coeff:
-        found["smoothness"] = smoothness(batch, action, mean)
+        found["smoothness"] = smoothness(batch, action, actor)
     if cfg.loss.standing_coeff:
         found["standing"] = standing(action)
     if demo is not None:

@@ -27,9 +27,11 @@ from . import evaluation, files, utils
 def main(cfg: DictConfig) -> None:
     """Train, evaluate while training, and save the last and the best policy."""
     torch.set_num_threads(cfg.compute.torch_threads)
-    torch.set_float32_matmul_precision(cfg.compute.matmul_precision)
     torch.manual_seed(cfg.seed)
     device = torch.device(cfg.device)
+    # In the card of a policy stands what it was trained in.
+    cfg.compute.bfloat16 = utils.use_bfloat16(cfg, device)
+    precision = torch.autocast(device.type, torch.bfloat16, enabled=cfg.compute.bfloat16)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
     files.check_run_dir(run_dir)
 
@@ -90,7 +92,8 @@ def main(cfg: DictConfig) -> None:
                 sample = replay_buffer.sample()
             for batch in sample.split(cfg.replay_buffer.batch_size):
                 with timeit("update critic"):
-                    loss_qvalue, info = value_loss(batch)
+                    with precision:
+                        loss_qvalue, info = value_loss(batch)
                     metrics |= utils.step(
                         optimizers["critic"], loss_qvalue, cfg.optim.max_grad_norm
                     )
@@ -98,7 +101,8 @@ def main(cfg: DictConfig) -> None:
                 updates += 1
                 if updates % cfg.optim.policy_delay == 0:
                     with timeit("update actor"):
-                        loss_actor, info = actor_loss(batch)
+                        with precision:
+                            loss_actor, info = actor_loss(batch)
                         utils.step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
                         target_updater.step()
                         averaged.update_parameters(actor)

@@ -207,6 +207,16 @@ def make_loss(
     return loss.to(device)
 
 
+def use_bfloat16(cfg: DictConfig, device: torch.device) -> bool:
+    """Whether updates compute in bfloat16: as configured, else where the processor multiplies it."""
+    if cfg.compute.bfloat16 is not None:
+        return cfg.compute.bfloat16
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    capabilities = torch.cpu.get_capabilities()
+    return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
+
+
 def compile_losses(cfg: DictConfig, loss: MOTD3Loss) -> tuple[Loss, Loss]:
     """The critics' and the actor's loss, compiled if asked for and if a C++ compiler is there."""
     losses = loss.value_loss, loss.actor_loss

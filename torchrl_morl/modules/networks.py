@@ -14,7 +14,21 @@ from torchrl.modules import MLP, TanhModule
 __all__ = ["make_actor", "make_vector_critic", "saturated_fraction"]
 
 
-class _ScaledLinear(nn.Linear):
+class _LastLinear(nn.Linear):
+    """A linear layer in the precision of its weights, also under :class:`torch.autocast`.
+
+    Values and actions are compared in their last digits: bfloat16 has three of them.
+    """
+
+    def forward(self, input: Tensor) -> Tensor:
+        device = input.device.type
+        if not torch.is_autocast_enabled(device):
+            return super().forward(input)
+        with torch.autocast(device, enabled=False):
+            return super().forward(input.to(self.weight.dtype))
+
+
+class _ScaledLinear(_LastLinear):
     """A linear layer that starts, and restarts, with small weights and no bias.
 
     The gain lives in ``reset_parameters``, and not in a one-off edit of the weights, so that it
@@ -168,6 +182,7 @@ def make_vector_critic(
         norm_kwargs=[{"normalized_shape": n} for n in num_cells] if layer_norm else None,
         device=device,
     )
+    mlp[-1] = _LastLinear(mlp[-1].in_features, mlp[-1].out_features, device=device)
     return TensorDictModule(mlp, in_keys=list(in_keys), out_keys=[out_key])
 
 
