@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -133,6 +134,33 @@ def test_gradients_go_where_they_belong():
     sigma = torch.tensor([0.5, 0.1])
     held = penalties.anchor(batch, action, sigma=sigma, objective=0, radius=2.5)
     assert trained(held) == {"actor"}
+
+
+def test_values_do_not_depend_on_how_many_environments_are_evaluated_at_once(monkeypatch):
+    torch.manual_seed(0)
+    critic = make_vector_critic(
+        3, in_features=4 + 2, in_keys=("observation", "preference"), out_key="state_value"
+    )
+    ends = torch.rand(5, 8, 1) < 0.2
+    following = TensorDict(
+        observation=torch.randn(5, 8, 4),
+        preference=torch.rand(5, 8, 2),
+        reward=torch.randn(5, 8, 3),
+        done=ends,
+        terminated=ends,
+    )
+    data = TensorDict(
+        observation=torch.randn(5, 8, 4), preference=SPACE.sample((5, 8)), batch_size=[5, 8]
+    )
+    data["next"] = following.auto_batch_size_(2)
+    task = SimpleNamespace(space=SPACE, device=torch.device("cpu"))
+    results = []
+    for number in (2, 5):
+        monkeypatch.setattr(utils, "ENVS_AT_ONCE", number)
+        results.append(utils.make_advantage(configuration(), task, critic)(data.clone()))
+    assert results[0]["advantage"].std() > 0.1
+    for key in ("advantage", "value_target"):
+        torch.testing.assert_close(results[0][key], results[1][key])
 
 
 def test_a_loaded_loss_is_the_policy_that_collects(tmp_path):

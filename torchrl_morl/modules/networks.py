@@ -64,7 +64,8 @@ def make_actor(
     An MLP over the concatenated inputs writes the pre-tanh output, and a
     :class:`~torchrl.modules.TanhModule` maps it to the bounds of the action. The pre-tanh output is
     kept under its own key, so that a loss can penalise it: an actor that saturates has no gradient
-    left and does the same in every state and for every preference.
+    left and does the same in every state and for every preference. Under :class:`torch.autocast` the
+    last layer keeps the precision of its weights, and so does the action.
 
     The parameters are created at once (no lazy layers). Keys of the state dict, with ``n`` hidden
     layers: ``module.0.module.{0, 2, ..., 2n}.{weight, bias}`` and the bounds
@@ -132,6 +133,8 @@ def make_vector_critic(
     device: torch.device | str | None = None,
 ) -> TensorDictModule:
     """Build a critic ``(state, preference, action) -> R^K`` with one value per objective.
+
+    Under :class:`torch.autocast` the last layer keeps the precision of its weights, and so do values.
 
     The parameters are created at once (no lazy layers). Keys of the state dict:
     ``module.{index}.{weight, bias}``, the index counting linear layers, norms and activations.
