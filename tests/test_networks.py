@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.modules import MLP
 
 from torchrl_morl.modules import make_actor, make_vector_critic, saturated_fraction
 
@@ -110,6 +111,18 @@ def test_critic_keys():
     )
     data = TensorDict(agent=_data(5).select("observation"), action=torch.rand(5, 2), batch_size=5)
     assert critic(data)["agent", "value"].shape == (5, 2)
+
+
+def test_a_seed_gives_the_critic_that_its_layers_would_have():
+    torch.manual_seed(0)
+    critic = make_vector_critic(4, in_features=9, num_cells=(8,))
+    after = torch.rand(())
+    torch.manual_seed(0)
+    layers = MLP(in_features=9, out_features=4, num_cells=[8])
+    torch.testing.assert_close(after, torch.rand(()))
+    for index in (0, -1):
+        torch.testing.assert_close(critic.module[index].weight, layers[index].weight)
+        torch.testing.assert_close(critic.module[index].bias, layers[index].bias)
 
 
 def test_state_dict_keys_are_stable():
