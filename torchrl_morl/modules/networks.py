@@ -185,7 +185,7 @@ def make_vector_critic(
         norm_kwargs=[{"normalized_shape": n} for n in num_cells] if layer_norm else None,
         device=device,
     )
-    last = nn.utils.skip_init(_LastLinear, num_cells[-1], num_objectives, device=device)
+    last = nn.utils.skip_init(_LastLinear, mlp[-1].in_features, num_objectives, device=device)
     # Its own parameters: none are drawn anew.
     last.weight, last.bias = mlp[-1].weight, mlp[-1].bias
     mlp[-1] = last
