@@ -9,7 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from benchmarks import quality_peers, time_to_quality, training_step
+from benchmarks import collecting, quality_peers, time_to_quality, training_step
 from benchmarks import test_units as units
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.modules import RewardModel
@@ -70,6 +70,23 @@ def test_training_step_prints_every_share(tmp_path, capsys):
     ]
     assert sum(shares) == pytest.approx(100, abs=1)
     assert "72 environment steps and 4 updates" in text
+
+
+def test_collecting_in_other_processes(tmp_path, capsys):
+    output = tmp_path / "collecting.md"
+    options = ["--rounds", "1", "--frames", "96", "--batches", "1", "--threads", "1"]
+    collecting.main([*options, "--output", str(output), *TINY], num_envs=4, steps=3)
+    text = output.read_text()
+    assert text.strip() in capsys.readouterr().out
+    rows = [line.split("|")[1:4] for line in text.splitlines() if "PPO" in line or "MORL," in line]
+    assert [name.strip() for name, *_ in rows] == [
+        "PD-MORL, 1 torch thread",
+        "PD-MORL, 1 torch thread, overlapping",
+        "MO-PPO, collecting, one process",
+        "MO-PPO, collecting, two processes",
+    ]
+    assert all(float(seconds) > 0 and float(ratio) > 0 for _, seconds, ratio in rows)
+    assert float(rows[0][2]) == float(rows[2][2]) == 1
 
 
 def test_curve_of_ours_is_written_and_read(tmp_path, capsys):
