@@ -15,6 +15,7 @@ Examples::
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import sys
 import tempfile
@@ -36,16 +37,22 @@ OURS = "ours"
 FOLDER = Path("runs/benchmarks/quality")
 CAPQL = ("capql", "capql-our-weights")
 PEERS = (*CAPQL, "gpi-ls")
+PEERS_MINUTES = 60
+
+
+class Enough(BaseException):
+    """Ends a training of ours at a time. Not an ``Exception``: hydra reports those as errors."""
 
 
 class Log:
     """A CSV file of evaluations, and a clock that they stop."""
 
-    def __init__(self, path: Path, system: str, seed: int) -> None:
+    def __init__(self, path: Path, system: str, seed: int, label: str | None = None) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.exists():
             raise FileExistsError(f"{path} exists and is not overwritten: choose another --output.")
         self.path, self.system, self.seed = path, system, seed
+        self.label = label or system
         self.start()
 
     def start(self) -> None:
@@ -68,7 +75,7 @@ class Log:
         (seconds, cpu), start = self.seconds, self._now()
         result = function(*args)
         row = {
-            "system": self.system,
+            "system": self.label,
             "seed": self.seed,
             "seconds": f"{seconds:.1f}",
             "cpu_seconds": f"{cpu:.1f}",
@@ -90,13 +97,16 @@ class Log:
         return result
 
 
-def train_ours(log: Log, overrides: list[str]) -> None:
+def train_ours(log: Log, args: argparse.Namespace) -> None:
     """The recipe as it is, its evaluation under the log."""
     steps = 0
     plain_evaluate, plain_rollout = evaluation.evaluate, Collector.rollout
 
-    def evaluate(*args):
-        return log.evaluate(steps, plain_evaluate, *args)
+    def evaluate(*given):
+        result = log.evaluate(steps, plain_evaluate, *given)
+        if args.minutes is not None and log.seconds[args.clock == "cpu"] >= 60 * args.minutes:
+            raise Enough
+        return result
 
     def rollout(collector: Collector):
         nonlocal steps
@@ -105,11 +115,12 @@ def train_ours(log: Log, overrides: list[str]) -> None:
         return data
 
     with tempfile.TemporaryDirectory() as folder:
-        arguments = ["pd_morl", f"seed={log.seed}", f"hydra.run.dir={folder}/run", *overrides]
+        arguments = ["pd_morl", f"seed={log.seed}", f"hydra.run.dir={folder}/run", *args.pd_morl]
         with (
             mock.patch.object(sys, "argv", arguments),
             mock.patch.object(evaluation, "evaluate", evaluate),
             mock.patch.object(Collector, "rollout", rollout),
+            contextlib.suppress(Enough),
         ):
             log.start()
             pd_morl.main()
@@ -130,6 +141,7 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
     space = utils.make_preference_space(with_demonstrations=model is not None)
     eval_env = utils.make_eval_env(cfg, space, model)
     demonstration = evaluation.demonstrated(cfg, demo_card) if model else None
+    budget = PEERS_MINUTES if args.minutes is None else args.minutes
     due = args.every
 
     def evaluate(steps: int) -> None:
@@ -163,7 +175,7 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
     def after_step(steps: int) -> None:
         nonlocal due
         minutes = log.seconds[args.clock == "cpu"] / 60
-        finished = minutes >= args.minutes
+        finished = minutes >= budget
         if finished or minutes >= due:
             due += args.every
             evaluate(steps)
@@ -261,8 +273,14 @@ def main(arguments: list[str] | None = None) -> None:
     train.add_argument("system", choices=[OURS, *PEERS])
     train.add_argument("--seed", type=int, default=0)
     train.add_argument("--output", type=Path, help=f"(default: {FOLDER}/SYSTEM_SEED.csv)")
+    train.add_argument("--label", help="name in the report (default: the system)")
+    train.add_argument(
+        "--minutes",
+        type=float,
+        help="of training, to the evaluation after them "
+        f"(default: ours to its last step, peers {PEERS_MINUTES})",
+    )
     peers = train.add_argument_group("of the peers")
-    peers.add_argument("--minutes", type=float, default=60, help="of training")
     peers.add_argument("--every", type=float, default=3, help="minutes between evaluations")
     peers.add_argument("--gamma", type=float, default=0.99, help="discount (theirs: 0.99)")
     peers.add_argument("--reward-scale", type=float, help="(default: the recipe's)")
@@ -296,9 +314,10 @@ def main(arguments: list[str] | None = None) -> None:
         parser.error(f"--save is for {' and '.join(CAPQL)}, not {args.system}.")
     if args.save is not None and args.save.exists():
         parser.error(f"{args.save} exists and is not overwritten: choose another --save.")
-    log = Log(args.output or FOLDER / f"{args.system}_{args.seed}.csv", args.system, args.seed)
+    output = args.output or FOLDER / f"{args.label or args.system}_{args.seed}.csv"
+    log = Log(output, args.system, args.seed, args.label)
     if args.system == OURS:
-        train_ours(log, args.pd_morl)
+        train_ours(log, args)
     else:
         train_peer(log, args)
     print(table(read([log.path]), 95, args.clock))

@@ -108,6 +108,15 @@ def test_curve_of_ours_is_written_and_read(tmp_path, capsys):
         time_to_quality.main(command)
 
 
+def test_ours_stops_at_a_time(tmp_path):
+    path = tmp_path / "small.csv"
+    command = ["train", "ours", "--label", "small", "--minutes", "0", "--output", str(path)]
+    time_to_quality.main([*command, "--pd-morl", *TINY, "evaluation.interval=24"])
+    with path.open() as file:
+        (row,) = csv.DictReader(file)
+    assert (row["system"], row["steps"]) == ("small", "48")
+
+
 def test_time_to_a_success_is_that_of_the_first_evaluation():
     rows = [
         {"success": value, "seconds": 60 * minute, "cpu_seconds": 30 * minute}
