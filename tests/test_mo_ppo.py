@@ -115,6 +115,31 @@ def test_critic_learns_first(polished, tmp_path):
         assert torch.equal(value, before.state_dict()[name]), name
 
 
+def test_critic_alone_learns_whole_returns_in_more_passes(polished, tmp_path, monkeypatch):
+    start, _ = polished
+    seen, plain_advantage, plain_step = [], utils.make_advantage, mo_ppo.step
+
+    def make_advantage(*args):
+        advantage = plain_advantage(*args)
+
+        def recorded(module, _):
+            seen.append(round(module.lmbda.item(), 6))
+
+        advantage.register_forward_pre_hook(recorded)
+        return advantage
+
+    def step(optimizer, loss, *args):
+        seen.append("step")
+        return plain_step(optimizer, loss, *args)
+
+    monkeypatch.setattr(utils, "make_advantage", make_advantage)
+    monkeypatch.setattr(mo_ppo, "step", step)
+    run(tmp_path / "run", start, "optim.critic_batches=2", "optim.critic_epochs=3")
+    # Four batches of two small ones: of the critic, and then of the critic and of the actor.
+    alone, both = [1.0, *["step"] * 2 * 3], [0.8, *["step"] * 2 * 2]
+    assert seen == [*alone, *alone, *both, *both]
+
+
 def test_anchor_holds_a_policy_with_demonstrations(tmp_path):
     objectives = ("core", "demo", *SPACE.tunable)
     start = small_policy(tmp_path / "start", PreferenceSpace(objectives, static={"core": 1.0}))
@@ -279,6 +304,9 @@ def test_the_rate_falls_over_all_frames_of_a_training():
         ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),
         ("optim.batch_size=0", "optim.batch_size must lie between"),
         ("optim.penalty_batch_size=0", "penalty_batch_size must be at least 1, got 0"),
+        ("optim.critic_epochs=0", "critic_epochs must be at least 1, got 0"),
+        ("optim.epochs=0", "optim.epochs must be at least 1, got 0"),
+        ("optim.critic_batches=-1", "critic_batches must be at least 0, got -1"),
         ("env.observe_human=false", "observations of 36 entries, here they have 33"),
         ("policy=nowhere", "nowhere"),
         ("resume=nowhere", "resume=nowhere has no checkpoint"),

@@ -79,6 +79,9 @@ def main(cfg: DictConfig) -> None:
     for batches, data in enumerate(collector, start=frames // cfg.collector.frames_per_batch):
         collected, frames = frames, frames + data.numel()
         progress.update(data.numel())
+        # The critic starts from nothing: the actor waits until it has learned the values.
+        trains_actor = batches >= cfg.optim.critic_batches
+        advantage.lmbda.fill_(cfg.loss.lmbda if trains_actor else 1.0)
         # Advantages of every objective, weighed by the preference of the episode.
         with timeit("advantage"):
             advantage(data)
@@ -92,10 +95,8 @@ def main(cfg: DictConfig) -> None:
         replay_buffer.empty()
         replay_buffer.extend(data.reshape(-1).select(*utils.BATCH))
 
-        # The critic starts from nothing: the actor waits until it has learned the values.
-        trains_actor = batches >= cfg.optim.critic_batches
         metrics = {}
-        for _ in range(cfg.optim.epochs):
+        for _ in range(cfg.optim.epochs if trains_actor else cfg.optim.critic_epochs):
             for batch in replay_buffer:
                 with timeit("update"):
                     with precision:

@@ -66,10 +66,10 @@ def check(cfg: DictConfig) -> None:
             "optim.batch_size must lie between 1 and collector.frames_per_batch, "
             f"{cfg.collector.frames_per_batch}, got {cfg.optim.batch_size}."
         )
-    if cfg.optim.penalty_batch_size < 1:
-        raise ValueError(
-            f"optim.penalty_batch_size must be at least 1, got {cfg.optim.penalty_batch_size}."
-        )
+    least_of = {"penalty_batch_size": 1, "epochs": 1, "critic_epochs": 1, "critic_batches": 0}
+    for name, least in least_of.items():
+        if cfg.optim[name] < least:
+            raise ValueError(f"optim.{name} must be at least {least}, got {cfg.optim[name]}.")
     sigma = list(cfg.collector.exploration_sigma)
     if len(sigma) != 2 or min(sigma) <= 0:
         raise ValueError(
