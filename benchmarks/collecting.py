@@ -5,8 +5,8 @@ and with TorchRL's asynchronous collector, which collects the next batch in anot
 the updates run. MO-PPO, whose updates need what the last policy did: seconds to collect a batch of
 the recipe's size in this process, two threads for the physics, and in two processes.
 
-The ways take turns; nothing is trained to the end. Further arguments are fields of PD-MORL's
-configuration.
+The ways take turns, each training in a process of its own, as users run them; nothing is trained to
+the end. Further arguments are fields of PD-MORL's configuration.
 
 Examples::
 
@@ -19,11 +19,13 @@ from __future__ import annotations
 import argparse
 import functools
 import itertools
+import multiprocessing
 import statistics
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from unittest import mock
 
@@ -188,7 +190,9 @@ def main(arguments: list[str] | None = None, *, num_envs: int = 512, steps: int 
     seconds: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(args.rounds):
         for name, way in ways.items():
-            seconds[name].append(way())
+            # A pool of one for each: compiled code and threads of one training are not the next one's.
+            with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+                seconds[name].append(pool.submit(way).result())
     polish = mo_ppo_batch(num_envs, steps, args.batches)
     first, polish_first = next(iter(seconds.values())), polish["one process"]
     lines = [

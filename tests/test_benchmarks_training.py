@@ -72,6 +72,7 @@ def test_training_step_prints_every_share(tmp_path, capsys):
     assert "72 environment steps and 4 updates" in text
 
 
+@pytest.mark.slow
 def test_collecting_in_other_processes(tmp_path, capsys):
     output = tmp_path / "collecting.md"
     options = ["--rounds", "1", "--frames", "96", "--batches", "1", "--threads", "1"]
