@@ -1,6 +1,6 @@
 """Whether collecting in processes of its own pays.
 
-PD-MORL: milliseconds between one batch of frames and the next, updates included, as the recipe is
+PD-MORL: seconds between one batch of frames and the next, updates included, as the recipe is
 and with TorchRL's asynchronous collector, which collects the next batch in another process while
 the updates run. MO-PPO, whose updates need what the last policy did: seconds to collect a batch of
 the recipe's size in this process, two threads for the physics, and in two processes.
@@ -47,14 +47,13 @@ from .learner import machine
 from .learner_systems import ACTION_SIZE, config
 
 POLICY = Path("recipes/policies/recipe_seed0")
-MAKE_TRAIN_ENV = utils.make_train_env
 
 
 def make_env(cfg: DictConfig, *arguments) -> EnvBase:
     """An environment in a process of its own, which has one core."""
     torch.set_num_threads(1)
     cfg = OmegaConf.merge(cfg, {"env": {"num_threads": 1}})
-    return MAKE_TRAIN_ENV(cfg, *arguments)
+    return utils.make_train_env(cfg, *arguments)
 
 
 class Clocked:
@@ -74,16 +73,12 @@ class Clocked:
 
 def pd_morl_batch(overlapping: bool, threads: int, frames: int, overrides: list[str]) -> float:
     """Seconds from a batch to the next: the median, to which compiling and evaluations do not matter."""
-    times, arguments = [], {}
-
-    def remember(*given):
-        arguments["env"] = given
-        return MAKE_TRAIN_ENV(*given)
+    times = []
 
     def collector(env, policy, **settings):
         if not overlapping:
             return Clocked(Collector(env, policy, **settings), times)
-        maker = functools.partial(make_env, *arguments["env"])
+        maker = functools.partial(make_env, *makes.call_args.args)
         # The worker gets the latest policy with every batch, as it has it without a process.
         return Clocked(
             MultiAsyncCollector([maker], policy, update_at_each_batch=True, **settings), times
@@ -101,7 +96,7 @@ def pd_morl_batch(overlapping: bool, threads: int, frames: int, overrides: list[
         ]
         with (
             mock.patch.object(sys, "argv", command),
-            mock.patch.object(utils, "make_train_env", remember),
+            mock.patch.object(utils, "make_train_env", wraps=utils.make_train_env) as makes,
             mock.patch.object(pd_morl, "Collector", collector),
         ):
             pd_morl.main()
@@ -130,7 +125,7 @@ def mo_ppo_collectors(num_envs: int, steps: int) -> dict[str, Collector | MultiS
     ]
     return {
         "one process": Collector(
-            MAKE_TRAIN_ENV(cfg, space, reward_model),
+            utils.make_train_env(cfg, space, reward_model),
             mo_ppo.make_policy(start, sigma)[1],
             **settings,
         ),
@@ -179,6 +174,9 @@ def main(arguments: list[str] | None = None, *, num_envs: int = 512, steps: int 
     args = parser.parse_args(arguments)
     if min(args.rounds, args.batches, *args.threads) < 1:
         parser.error("--rounds, --batches and --threads must be at least 1.")
+    batch = config(*args.overrides).collector.frames_per_batch
+    if args.frames < 3 * batch:
+        parser.error(f"--frames must be at least {3 * batch}, three batches, got {args.frames}.")
 
     ways: dict[str, Callable[[], float]] = {
         f"PD-MORL, {threads} torch thread{'s' * (threads > 1)}{', overlapping' * overlapping}": (

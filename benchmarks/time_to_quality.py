@@ -272,7 +272,7 @@ def main(arguments: list[str] | None = None) -> None:
     train = commands.add_parser("train", help="one system, one seed")
     train.add_argument("system", choices=[OURS, *PEERS])
     train.add_argument("--seed", type=int, default=0)
-    train.add_argument("--output", type=Path, help=f"(default: {FOLDER}/SYSTEM_SEED.csv)")
+    train.add_argument("--output", type=Path, help=f"(default: {FOLDER}/LABEL_SEED.csv)")
     train.add_argument("--label", help="name in the report (default: the system)")
     train.add_argument(
         "--minutes",
