@@ -6,6 +6,8 @@ TensorDict, no metadata for a log. Transitions lie in one matrix, so that a batc
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from tensordict import TensorDict
 from torch import Tensor
@@ -100,9 +102,15 @@ class BareLoop(TD3Learner):
         self.sizes = [part.shape[-1] for part in parts]
         self.storage = torch.cat(parts, dim=-1)
         self.batches: list[tuple[Tensor, ...]] = []
-        wrap = torch.compile if compiled else lambda function: function
-        self.critic_loss = wrap(self._critic_loss)
-        self.actor_loss = wrap(self._actor_loss)
+        self.critic_gradients, self.actor_gradients = (
+            self._gradients(self._critic_loss, self.critic_parameters),
+            self._gradients(self._actor_loss, self.actor_parameters),
+        )
+        if compiled:
+            # With the backward pass in the graph, as the recipe.
+            torch._dynamo.config.trace_autograd_ops = True
+            self.critic_gradients = torch.compile(self.critic_gradients, fullgraph=True)
+            self.actor_gradients = torch.compile(self.actor_gradients, fullgraph=True)
 
     # --- stages ---
 
@@ -121,23 +129,30 @@ class BareLoop(TD3Learner):
         relabelled = torch.rand(number, 1) < self.cfg.preference.relabel_ratio
         return [state, torch.where(relabelled, drawn, preference), *others]
 
-    def _critic_forward(self) -> None:
-        self.loss_value = self.critic_loss(*self.batch)
+    def _gradients(
+        self, function: Callable[..., Tensor], parameters: list[Tensor]
+    ) -> Callable[..., Tensor]:
+        def run(*batch: Tensor) -> Tensor:
+            for parameter in parameters:
+                parameter.grad = None
+            loss = function(*batch)
+            loss.backward(inputs=parameters)
+            torch.nn.utils.clip_grad_norm_(parameters, self.cfg.optim.max_grad_norm, foreach=True)
+            return loss.detach()
+
+        return run
+
+    def _critic_gradients(self) -> None:
+        self.loss_value = self.critic_gradients(*self.batch)
 
     def _critic_step(self) -> None:
-        self._step(self.optimizers[1], self.critic_parameters)
+        self.optimizers[1].step()
 
-    def _actor_forward(self) -> None:
-        self.loss_value = self.actor_loss(*self.batch)
+    def _actor_gradients(self) -> None:
+        self.loss_value = self.actor_gradients(*self.batch)
 
     def _actor_step(self) -> None:
-        self._step(self.optimizers[0], self.actor_parameters)
-
-    def _step(self, optimizer: torch.optim.Optimizer, parameters: list[Tensor]) -> None:
-        optimizer.zero_grad(set_to_none=True)
-        self.loss_value.backward()
-        torch.nn.utils.clip_grad_norm_(parameters, self.cfg.optim.max_grad_norm, foreach=True)
-        optimizer.step()
+        self.optimizers[0].step()
 
     @torch.no_grad()
     def _follow(self) -> None:

@@ -19,7 +19,7 @@ from torchrl.objectives import SoftUpdate
 
 import recipes.pd_morl
 from envs.policy_env import OBSERVATION_SIZE
-from recipes.pd_morl import utils
+from recipes.pd_morl import learning, utils
 
 ACTION_SIZE = 2
 CONFIG = Path(recipes.pd_morl.__file__).parent / "config.yaml"
@@ -70,19 +70,22 @@ class Learner(abc.ABC):
 
 
 class TD3Learner(Learner):
-    """The stages of TD3: critics at every update, actor and targets at some."""
+    """The stages of TD3: critics at every update, actor and targets at some.
+
+    Gradients are the loss, its backward pass and clipping.
+    """
 
     def critic_stages(self) -> list[Stage]:
         return [
             ("sample, relabel", self._sample),
-            ("critic: loss", self._critic_forward),
-            ("critic: backward, clip, Adam", self._critic_step),
+            ("critic: gradients", self._critic_gradients),
+            ("critic: Adam", self._critic_step),
         ]
 
     def actor_stages(self) -> list[Stage]:
         return [
-            ("actor: loss", self._actor_forward),
-            ("actor: backward, clip, Adam", self._actor_step),
+            ("actor: gradients", self._actor_gradients),
+            ("actor: Adam", self._actor_step),
             ("soft update, average", self._follow),
         ]
 
@@ -90,13 +93,13 @@ class TD3Learner(Learner):
     def _sample(self) -> None: ...
 
     @abc.abstractmethod
-    def _critic_forward(self) -> None: ...
+    def _critic_gradients(self) -> None: ...
 
     @abc.abstractmethod
     def _critic_step(self) -> None: ...
 
     @abc.abstractmethod
-    def _actor_forward(self) -> None: ...
+    def _actor_gradients(self) -> None: ...
 
     @abc.abstractmethod
     def _actor_step(self) -> None: ...
@@ -157,18 +160,16 @@ class Ours(TD3Learner):
         self.actor, _ = utils.make_policy(cfg, env, self.space, device)
         self.loss = utils.make_loss(cfg, env, self.space, self.actor, device)
         env.close()
-        self.value_loss, self.actor_loss = utils.compile_losses(cfg, self.loss)
+        self.critic_gradients, self.actor_gradients = learning.make_gradients(cfg, self.loss)
         self.target_updater = SoftUpdate(self.loss, eps=cfg.optim.polyak)
         self.averaged = None
         if cfg.optim.actor_average is not None:
             average = get_ema_multi_avg_fn(cfg.optim.actor_average)
             self.averaged = AveragedModel(self.actor, multi_avg_fn=average, use_buffers=False)
-        self.optimizers, _ = utils.make_optimizers(cfg, self.loss)
+        self.optimizers, _ = learning.make_optimizers(cfg, self.loss)
         self.replay_buffer = utils.make_replay_buffer(cfg, self.space, device)
         self.replay_buffer.extend(data)
         self.batches: list[TensorDictBase] = []
-        rounded = utils.use_bfloat16(cfg, device)
-        self.precision = torch.autocast(device.type, torch.bfloat16, enabled=rounded)
 
     def _sample(self) -> None:
         if not self.batches:
@@ -178,19 +179,19 @@ class Ours(TD3Learner):
             self.batches = list(batches.split(size))
         self.batch = self.batches.pop()
 
-    def _critic_forward(self) -> None:
-        with self.precision:
-            self.loss_value, self.info = self.value_loss(self.batch)
+    def _critic_gradients(self) -> None:
+        self.info = self.critic_gradients(self.batch)
+        self.loss_value = self.info["loss_qvalue"]
 
     def _critic_step(self) -> None:
-        utils.step(self.optimizers["critic"], self.loss_value, self.cfg.optim.max_grad_norm)
+        self.optimizers["critic"].step()
 
-    def _actor_forward(self) -> None:
-        with self.precision:
-            self.loss_value, self.info = self.actor_loss(self.batch)
+    def _actor_gradients(self) -> None:
+        self.info = self.actor_gradients(self.batch)
+        self.loss_value = self.info["loss_actor"]
 
     def _actor_step(self) -> None:
-        utils.step(self.optimizers["actor"], self.loss_value, self.cfg.optim.max_grad_norm)
+        self.optimizers["actor"].step()
 
     def _follow(self) -> None:
         self.target_updater.step()

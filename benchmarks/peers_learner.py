@@ -81,7 +81,7 @@ class OfficialUpdate(TD3Learner):
         cosine = F.cosine_similarity(self.projected, values, dim=-1)
         return torch.rad2deg(torch.acos(cosine.clamp(0, 0.9999)))
 
-    def _critic_forward(self) -> None:
+    def _critic_gradients(self) -> None:
         state, preference, action, next_state, reward, done = self.batch
         with torch.no_grad():
             noise = (torch.randn_like(action) * 0.2).clamp(-0.5, 0.5)
@@ -98,24 +98,24 @@ class OfficialUpdate(TD3Learner):
             self._angle(value).mean() + F.smooth_l1_loss(value, target)
             for value in (critic(inputs) for critic in self.critics)
         )
-
-    def _critic_step(self) -> None:
         self.critic_optimizer.zero_grad()
         self.loss_value.backward()
         nn.utils.clip_grad_norm_(self.critics.parameters(), 100.0)
+
+    def _critic_step(self) -> None:
         self.critic_optimizer.step()
 
-    def _actor_forward(self) -> None:
+    def _actor_gradients(self) -> None:
         state, preference, *_ = self.batch
         inputs = torch.cat((state, preference), dim=-1)
         value = self.critics[0](torch.cat((inputs, self.actor(inputs).tanh()), dim=-1))
         utility = (preference * value).sum(-1)
         self.loss_value = -utility.mean() + 10 * self._angle(value).mean()
-
-    def _actor_step(self) -> None:
         self.actor_optimizer.zero_grad()
         self.loss_value.backward()
         nn.utils.clip_grad_norm_(self.actor.parameters(), 100.0)
+
+    def _actor_step(self) -> None:
         self.actor_optimizer.step()
 
     @torch.no_grad()
@@ -165,22 +165,21 @@ class StockTD3(TD3Learner):
     def _sample(self) -> None:
         self.batch = self.replay_buffer.sample()
 
-    def _critic_forward(self) -> None:
+    def _critic_gradients(self) -> None:
+        self.critic_optimizer.zero_grad()
         self.loss_value, _ = self.loss.value_loss(self.batch)
+        self.loss_value.backward()
 
     def _critic_step(self) -> None:
-        self._step(self.critic_optimizer)
+        self.critic_optimizer.step()
 
-    def _actor_forward(self) -> None:
+    def _actor_gradients(self) -> None:
+        self.actor_optimizer.zero_grad()
         self.loss_value, _ = self.loss.actor_loss(self.batch)
+        self.loss_value.backward()
 
     def _actor_step(self) -> None:
-        self._step(self.actor_optimizer)
-
-    def _step(self, optimizer: torch.optim.Optimizer) -> None:
-        optimizer.zero_grad()
-        self.loss_value.backward()
-        optimizer.step()
+        self.actor_optimizer.step()
 
     def _follow(self) -> None:
         self.target_updater.step()

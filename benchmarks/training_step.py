@@ -30,13 +30,10 @@ from torchrl.data import TensorDictReplayBuffer
 from torchrl.objectives import SoftUpdate
 
 from envs import NavigationEnv
-from recipes.pd_morl import evaluation, files, pd_morl, utils
+from recipes.pd_morl import evaluation, files, learning, pd_morl, utils
 
 from .learner import CLOCKS, machine
 from .learner_systems import config
-
-# The first calls of compiled functions compile, forward and backward.
-_COMPILING_CALLS = 2
 
 OTHER = "everything else"
 SET_UP = "set-up, once"
@@ -91,7 +88,8 @@ class Watch:
             nonlocal calls
             calls += 1
             label = name(self.running) if callable(name) else name
-            with self(COMPILING if compiling and calls <= _COMPILING_CALLS else label):
+            # The first call of a compiled function compiles it.
+            with self(COMPILING if compiling and calls == 1 else label):
                 return function(*args, **kwargs)
 
         return timed
@@ -105,38 +103,36 @@ def _inside(parent: str) -> str:
 @contextlib.contextmanager
 def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
     """Watches around what the recipe calls, for as long as the context lasts."""
-    updating = ["critic"]
+    adam = {}
 
-    def network(_: str) -> str:
-        return updating[0]
+    def gradients(cfg, loss):
+        functions = zip(("critic", "actor"), make_gradients(cfg, loss), strict=True)
+        return tuple(
+            watch.around(function, f"{kind}: gradients", compiling=compiled)
+            for kind, function in functions
+        )
 
-    def losses(cfg, loss):
-        def of(kind: str, function: Callable) -> Callable:
-            timed = watch.around(function, f"{kind}: loss", compiling=compiled)
+    def optimizers(cfg, loss):
+        made = make_optimizers(cfg, loss)
+        adam.update((id(optimizer), f"{kind}: Adam") for kind, optimizer in made[0].items())
+        return made
 
-            def run(batch):
-                updating[0] = kind
-                return timed(batch)
-
-            return run
-
-        value_loss, actor_loss = compile_losses(cfg, loss)
-        return of("critic", value_loss), of("actor", actor_loss)
+    def step(optimizer, *arguments):
+        with watch(adam[id(optimizer)]):
+            return plain_step(optimizer, *arguments)
 
     def rollout(collector: Collector):
         watch.set_up()
         with watch("collect"):
             return plain_rollout(collector)
 
-    compile_losses, plain_rollout = utils.compile_losses, Collector.rollout
+    make_gradients, make_optimizers = learning.make_gradients, learning.make_optimizers
+    plain_rollout, plain_step = Collector.rollout, torch.optim.Adam.step
     plain = (
         (NavigationEnv, "_step", _inside),
         (NavigationEnv, "_reset", _inside),
         (TensorDictReplayBuffer, "extend", "replay: extend"),
         (TensorDictReplayBuffer, "sample", "replay: sample, relabel"),
-        (torch.Tensor, "backward", lambda parent: f"{updating[0]}: backward"),
-        (torch.nn.utils, "clip_grad_norm_", lambda parent: f"{updating[0]}: clip, Adam"),
-        (torch.optim.Adam, "step", lambda parent: f"{updating[0]}: clip, Adam"),
         (SoftUpdate, "step", "soft update, average"),
         (AveragedModel, "update_parameters", "soft update, average"),
         (evaluation, "evaluate", "evaluate"),
@@ -147,10 +143,11 @@ def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
     )
     with contextlib.ExitStack() as stack:
         for owner, attribute, name in plain:
-            backward = owner is torch.Tensor
-            timed = watch.around(getattr(owner, attribute), name, compiling=compiled and backward)
+            timed = watch.around(getattr(owner, attribute), name)
             stack.enter_context(mock.patch.object(owner, attribute, timed))
-        stack.enter_context(mock.patch.object(utils, "compile_losses", losses))
+        stack.enter_context(mock.patch.object(learning, "make_gradients", gradients))
+        stack.enter_context(mock.patch.object(learning, "make_optimizers", optimizers))
+        stack.enter_context(mock.patch.object(torch.optim.Adam, "step", step))
         stack.enter_context(mock.patch.object(Collector, "rollout", rollout))
         yield
 
@@ -182,7 +179,7 @@ def table(watch: Watch) -> str:
 def summary(watch: Watch, frames: int) -> str:
     """Rates, and the share of sampling that is asked for."""
     seconds = {name: value for name, value in watch.seconds.items() if name not in ONCE}
-    updates = watch.calls["critic: loss"]
+    updates = watch.calls["critic: gradients"]
     learning = ("replay: sample", "critic", "actor", "soft update")
     update = sum(value for name, value in seconds.items() if name.startswith(learning))
     total = sum(seconds.values())

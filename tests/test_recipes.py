@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -19,7 +18,7 @@ from torchrl.data import Bounded
 import recipes.evaluate
 from envs import NavigationEnv
 from envs.policy_env import OBSERVATION_SIZE
-from recipes.pd_morl.utils import compile_losses, use_bfloat16
+from recipes.pd_morl.learning import use_bfloat16
 from tests._command import run
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_policy
@@ -88,7 +87,8 @@ TRAINING = (
     "loss_qvalue",
     "saturated_fraction",
     "angle",
-    "grad_norm",
+    "grad_norm_qvalue",
+    "grad_norm_actor",
     "updates",
     *(f"q_scale/{name}" for name in SPACE.objectives),
 )
@@ -181,7 +181,7 @@ def test_one_seed_gives_one_policy(trained, tmp_path):
     assert first[0] != first[1]
 
 
-def test_compiled_losses_train(trained, tmp_path):
+def test_compiled_gradients_train(trained, tmp_path):
     # As on a machine that multiplies bfloat16; any can.
     result = train(
         tmp_path / "run",
@@ -205,25 +205,6 @@ def test_bfloat16_where_the_processor_has_it(feature, monkeypatch):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: found)
     cfg = OmegaConf.create({"compute": {"bfloat16": None}})
     assert use_bfloat16(cfg, torch.device("cpu")) is (feature is not None)
-
-
-def test_without_a_compiler_the_training_says_so(monkeypatch):
-    monkeypatch.setenv("CXX", "no-such-compiler")
-    cfg = OmegaConf.create({"device": "cpu", "compute": {"compile": True}})
-    losses = SimpleNamespace(value_loss=len, actor_loss=sum)
-    with pytest.warns(UserWarning, match="no-such-compiler is not installed"):
-        assert compile_losses(cfg, losses) == (len, sum)
-
-
-@pytest.mark.parametrize("layer_norm", [True, False])
-def test_the_actors_loss_is_compiled_where_that_is_faster(layer_norm, monkeypatch):
-    monkeypatch.setattr(torch, "compile", lambda function: ("compiled", function))
-    monkeypatch.setenv("CXX", sys.executable)
-    network = {"critic_layer_norm": layer_norm}
-    cfg = OmegaConf.create({"device": "cpu", "compute": {"compile": True}, "network": network})
-    losses = SimpleNamespace(value_loss=len, actor_loss=sum)
-    actor = ("compiled", sum) if layer_norm else sum
-    assert compile_losses(cfg, losses) == (("compiled", len), actor)
 
 
 def test_training_that_ends_between_two_evaluations_keeps_its_policy(tmp_path):

@@ -18,7 +18,7 @@ from torchrl.envs import EnvBase, TransformedEnv
 from benchmarks.learner_systems import Ours, config, transitions
 from envs.metrics import episode_metrics, trajectories
 from envs.policy_env import OBSERVATION_SIZE, make_policy_env, policy_transforms
-from recipes.pd_morl import utils
+from recipes.pd_morl import learning, utils
 from tests._tally import count, python_calls
 from torchrl_morl.evaluation import discrete_frechet
 from torchrl_morl.modules import PreferenceInterpolator, RewardModel
@@ -63,20 +63,21 @@ def _rows(size: int) -> TensorDict:
     return transitions(size, seed=1)
 
 
-# --- compiled losses -----------------------------------------------------------------------------
+# --- compiled gradients --------------------------------------------------------------------------
 
 
-def test_compiled_losses_have_one_graph_for_the_whole_training(monkeypatch):
+def test_compiled_gradients_have_one_graph_for_the_whole_training(monkeypatch):
     """As the recipe compiles and calls them, with a backend that runs the graph as it is."""
     graphs: list[CompileCounter] = []
 
-    def compiled(function):
+    def compiled(function, **options):
         graphs.append(CompileCounter())
-        return compile_with(function, backend=graphs[-1])
+        assert options.pop("mode") == "default"
+        return compile_with(function, backend=graphs[-1], **options)
 
     compile_with = torch.compile
     monkeypatch.setattr(torch, "compile", compiled)
-    monkeypatch.setattr(utils.shutil, "which", lambda name: name)
+    monkeypatch.setattr(learning.shutil, "which", lambda name: name)
     torch._dynamo.reset()
     counters.clear()
     # Fewer layers than elsewhere: tracing them is what takes time here.
@@ -122,9 +123,9 @@ def test_only_the_average_of_the_actor_waits(learner):
     learner._sample()
 
     def update() -> None:
-        learner._critic_forward()
+        learner._critic_gradients()
         learner._critic_step()
-        learner._actor_forward()
+        learner._actor_gradients()
         learner._actor_step()
         learner._follow()
 

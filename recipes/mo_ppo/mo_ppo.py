@@ -22,7 +22,8 @@ from torchrl.collectors import Collector
 from torchrl.envs import RewardScaling
 
 from recipes.pd_morl import evaluation, files
-from recipes.pd_morl.utils import crossed, log_metrics, make_loggers, step, use_bfloat16
+from recipes.pd_morl.learning import step, use_bfloat16
+from recipes.pd_morl.utils import crossed, log_metrics, make_loggers
 from recipes.task import make_averaged, make_task
 from torchrl_morl.deploy import load_policy
 

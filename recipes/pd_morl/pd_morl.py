@@ -20,7 +20,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.objectives import SoftUpdate
 
-from . import evaluation, files, utils
+from . import evaluation, files, learning, utils
 
 
 @hydra.main(version_base="1.3", config_path="", config_name="config")
@@ -30,8 +30,7 @@ def main(cfg: DictConfig) -> None:
     torch.manual_seed(cfg.seed)
     device = torch.device(cfg.device)
     # In the card of a policy stands what it was trained in.
-    cfg.compute.bfloat16 = utils.use_bfloat16(cfg, device)
-    precision = torch.autocast(device.type, torch.bfloat16, enabled=cfg.compute.bfloat16)
+    cfg.compute.bfloat16 = learning.use_bfloat16(cfg, device)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
     files.check_run_dir(run_dir)
 
@@ -43,12 +42,12 @@ def main(cfg: DictConfig) -> None:
     eval_env = utils.make_eval_env(cfg, space, reward_model)
     actor, policy = utils.make_policy(cfg, env, space, device)
     loss = utils.make_loss(cfg, env, space, actor, device)
-    value_loss, actor_loss = utils.compile_losses(cfg, loss)
+    critic_gradients, actor_gradients = learning.make_gradients(cfg, loss)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
     averaged = AveragedModel(
         actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.optim.actor_average), use_buffers=False
     )
-    optimizers, schedulers = utils.make_optimizers(cfg, loss)
+    optimizers, schedulers = learning.make_optimizers(cfg, loss)
     updates_per_batch = cfg.optim.updates_per_batch
     replay_buffer = utils.make_replay_buffer(cfg, space, device, batches=updates_per_batch)
     demonstration = evaluation.demonstrated(cfg, demo_card) if demo else None
@@ -92,21 +91,15 @@ def main(cfg: DictConfig) -> None:
                 sample = replay_buffer.sample()
             for batch in sample.split(cfg.replay_buffer.batch_size):
                 with timeit("update critic"):
-                    with precision:
-                        loss_qvalue, info = value_loss(batch)
-                    metrics |= utils.step(
-                        optimizers["critic"], loss_qvalue, cfg.optim.max_grad_norm
-                    )
-                    metrics |= info | {"loss_qvalue": loss_qvalue.detach()}
+                    metrics |= critic_gradients(batch)
+                    optimizers["critic"].step()
                 updates += 1
                 if updates % cfg.optim.policy_delay == 0:
                     with timeit("update actor"):
-                        with precision:
-                            loss_actor, info = actor_loss(batch)
-                        utils.step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
+                        metrics |= actor_gradients(batch)
+                        optimizers["actor"].step()
                         target_updater.step()
                         averaged.update_parameters(actor)
-                        metrics |= info | {"loss_actor": loss_actor.detach()}
             for scheduler in schedulers.values():
                 scheduler.step()
             loss.pre_tanh_coeff = utils.pre_tanh_coeff(cfg, frames)

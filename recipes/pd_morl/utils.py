@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import os
-import shutil
-import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
 import tqdm
 from omegaconf import DictConfig
-from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
@@ -35,8 +29,6 @@ from torchrl_morl.modules import (
 from torchrl_morl.objectives import MOTD3Loss
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceRelabel, PreferenceSampler, RewardModelReward
-
-Loss = Callable[[TensorDictBase], tuple[Tensor, dict[str, Tensor]]]
 
 TRANSITION = (
     "observation",
@@ -207,63 +199,6 @@ def make_loss(
     return loss.to(device)
 
 
-def use_bfloat16(cfg: DictConfig, device: torch.device) -> bool:
-    """Whether updates compute in bfloat16: as configured, else where the processor multiplies it."""
-    if cfg.compute.bfloat16 is not None:
-        return cfg.compute.bfloat16
-    if device.type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
-    capabilities = torch.cpu.get_capabilities()
-    return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
-
-
-def compile_losses(cfg: DictConfig, loss: MOTD3Loss) -> tuple[Loss, Loss]:
-    """The critics' and the actor's loss, compiled if asked for and if a C++ compiler is there."""
-    losses = loss.value_loss, loss.actor_loss
-    if not cfg.compute.compile:
-        return losses
-    compiler = os.environ.get("CXX", "g++")
-    if cfg.device == "cpu" and shutil.which(compiler) is None:
-        warnings.warn(
-            f"compute.compile needs a C++ compiler and {compiler} is not installed: the training "
-            "runs without, at about three quarters of the speed.",
-            stacklevel=2,
-        )
-        return losses
-    value_loss, actor_loss = losses
-    if cfg.network.critic_layer_norm:
-        actor_loss = torch.compile(actor_loss)
-    # Otherwise the actor's loss stays eager, which is faster there with PyTorch 2.13: 2.3 instead of
-    # 3.3 ms an update (docs/performance.md).
-    return torch.compile(value_loss), actor_loss
-
-
-def make_optimizers(
-    cfg: DictConfig, loss: MOTD3Loss
-) -> tuple[dict[str, torch.optim.Optimizer], dict[str, torch.optim.lr_scheduler.LRScheduler]]:
-    """Adam for each network, with a cosine from ``lr`` to ``final_lr_ratio * lr``."""
-    optimizers = {
-        "actor": torch.optim.Adam(
-            loss.actor_network_params.flatten_keys().values(), lr=cfg.optim.lr, fused=True
-        ),
-        "critic": torch.optim.Adam(
-            loss.qvalue_network_params.flatten_keys().values(), lr=cfg.optim.lr, fused=True
-        ),
-    }
-    batches = cfg.collector.total_frames / cfg.collector.frames_per_batch
-
-    def decay(batch: int) -> float:
-        share = min(1.0, batch / batches)
-        ratio = cfg.optim.final_lr_ratio
-        return ratio + (1 - ratio) * 0.5 * (1 + math.cos(math.pi * share))
-
-    schedulers = {
-        f"{name}_schedule": torch.optim.lr_scheduler.LambdaLR(optimizer, decay)
-        for name, optimizer in optimizers.items()
-    }
-    return optimizers, schedulers
-
-
 def pre_tanh_coeff(cfg: DictConfig, frames: int) -> float:
     """Geometric decay from ``pre_tanh_coeff`` to ``final_pre_tanh_coeff``."""
     share = frames / cfg.collector.total_frames
@@ -306,16 +241,6 @@ def prefill(
     data["next", "preference"] = preference.clone()
     data = RewardModelReward(reward_model, position=space.objectives.index("demo"))(data)
     replay_buffer.extend(data.select(*TRANSITION))
-
-
-def step(optimizer: torch.optim.Optimizer, loss: Tensor, max_grad_norm: float) -> dict[str, Tensor]:
-    """One optimizer step with clipped gradients; returns the gradient's norm before clipping."""
-    optimizer.zero_grad(set_to_none=True)
-    loss.backward()
-    parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
-    optimizer.step()
-    return {"grad_norm": norm.detach()}
 
 
 # --- logging -----------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from torch import Tensor
 from torchrl._utils import timeit
 from torchrl.objectives import SoftUpdate
 
-from recipes.pd_morl.utils import make_optimizers, step
+from recipes.pd_morl.learning import make_optimizers, step
 from recipes.task import make_averaged, make_task
 
 from . import training, utils

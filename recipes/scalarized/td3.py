@@ -15,7 +15,8 @@ from torch import Tensor
 from torchrl._utils import timeit
 from torchrl.objectives import SoftUpdate
 
-from recipes.pd_morl.utils import make_optimizers, make_policy, step
+from recipes.pd_morl.learning import make_optimizers, step
+from recipes.pd_morl.utils import make_policy
 from recipes.task import make_averaged, make_task
 
 from . import training, utils
