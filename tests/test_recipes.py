@@ -193,6 +193,25 @@ def test_compiled_gradients_train(trained, tmp_path):
     assert "recompile_limit" not in result.stderr
 
 
+@pytest.mark.gpu
+@pytest.mark.parametrize(
+    "compute",
+    [
+        ("compute.compile=false",),
+        ("compute.compile=true",),
+        ("compute.compile=true", "compute.compile_mode=reduce-overhead"),
+    ],
+    ids=["eager", "compiled", "graphs"],
+)
+def test_trains_on_a_gpu(compute, tmp_path):
+    result = train(tmp_path / "run", "device=cuda", *compute)
+    assert result.returncode == 0, result.stderr
+    actor, _, _ = load_policy(tmp_path / "run" / "policies" / "000000960")
+    observation = torch.zeros(1, OBSERVATION_SIZE)
+    data = TensorDict(observation=observation, preference=SPACE.corners()[:1], batch_size=1)
+    assert actor(data)["action"].isfinite().all()
+
+
 @pytest.mark.parametrize("given", [True, False])
 def test_bfloat16_as_asked_for(given):
     cfg = OmegaConf.create({"compute": {"bfloat16": given}})

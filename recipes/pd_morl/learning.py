@@ -32,11 +32,32 @@ def use_bfloat16(cfg: DictConfig, device: torch.device) -> bool:
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
 
 
+def _compiled(cfg: DictConfig, function: Callable) -> Callable:
+    """One graph of the function, if asked for and if a C++ compiler is there."""
+    if not cfg.compute.compile:
+        return function
+    compiler = os.environ.get("CXX", "g++")
+    if cfg.device == "cpu" and shutil.which(compiler) is None:
+        warnings.warn(
+            f"compute.compile needs a C++ compiler and {compiler} is not installed: the training "
+            "runs without, at about two thirds of the speed.",
+            stacklevel=2,
+        )
+        return function
+    # PyTorch 2.13 traces a backward pass only if told to.
+    torch._dynamo.config.trace_autograd_ops = True
+    # Isolated: critics and actor have their gradients from the same code, and neither's graph is to be
+    # held against the guards of the other's.
+    return torch.compile(
+        function, fullgraph=True, isolate_recompiles=True, mode=cfg.compute.compile_mode
+    )
+
+
 def make_gradients(cfg: DictConfig, loss: MOTD3Loss) -> tuple[Gradients, Gradients]:
     """Gradients of the critics and of the actor.
 
-    Compiled if asked for and if a C++ compiler is there: loss, backward pass and clipping are one
-    graph, without what the autograd engine and a second graph would add to each update.
+    Compiled, loss, backward pass and clipping are one graph, without what the autograd engine and a
+    second graph would add to each update.
     """
     device = torch.device(cfg.device)
     precision = torch.autocast(device.type, torch.bfloat16, enabled=use_bfloat16(cfg, device))
@@ -54,24 +75,9 @@ def make_gradients(cfg: DictConfig, loss: MOTD3Loss) -> tuple[Gradients, Gradien
             norm = nn.utils.clip_grad_norm_(parameters, cfg.optim.max_grad_norm)
             return metadata | {f"loss_{network}": value.detach(), f"grad_norm_{network}": norm}
 
-        return run
+        return _compiled(cfg, run)
 
-    critic, actor = gradients("qvalue", loss.value_loss), gradients("actor", loss.actor_loss)
-    if not cfg.compute.compile:
-        return critic, actor
-    compiler = os.environ.get("CXX", "g++")
-    if device.type == "cpu" and shutil.which(compiler) is None:
-        warnings.warn(
-            f"compute.compile needs a C++ compiler and {compiler} is not installed: the training "
-            "runs without, at about three quarters of the speed.",
-            stacklevel=2,
-        )
-        return critic, actor
-    # PyTorch 2.13 traces a backward pass only if told to.
-    torch._dynamo.config.trace_autograd_ops = True
-    # Both are the same code to the compiler: isolated, neither is held against the other's guards.
-    options = {"fullgraph": True, "isolate_recompiles": True, "mode": cfg.compute.compile_mode}
-    return torch.compile(critic, **options), torch.compile(actor, **options)
+    return gradients("qvalue", loss.value_loss), gradients("actor", loss.actor_loss)
 
 
 def make_optimizers(

@@ -46,7 +46,7 @@ def rollout_preferences(
 
     Args:
         env: an environment of batch size ``[N]`` that honours ``preference_key`` at reset.
-        policy: acts deterministically.
+        policy: acts deterministically; on any device.
         preferences: ``[P, T]``.
 
     Keyword Args:
@@ -74,6 +74,8 @@ def rollout_preferences(
                 tensordict=env.reset(start, set_state=False),
                 break_when_any_done=False,
                 break_when_all_done=True,
+                # A policy on a GPU drives an environment that is simulated on the CPU.
+                auto_cast_to_device=True,
             )
         rollout.set("mask", episode_mask(rollout["next", "done"]))
         if keep is not None:
