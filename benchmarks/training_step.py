@@ -180,8 +180,8 @@ def summary(watch: Watch, frames: int) -> str:
     """Rates, and the share of sampling that is asked for."""
     seconds = {name: value for name, value in watch.seconds.items() if name not in ONCE}
     updates = watch.calls["critic: gradients"]
-    learning = ("replay: sample", "critic", "actor", "soft update")
-    update = sum(value for name, value in seconds.items() if name.startswith(learning))
+    parts = ("replay: sample", "critic", "actor", "soft update")
+    update = sum(value for name, value in seconds.items() if name.startswith(parts))
     total = sum(seconds.values())
     share = 100 * seconds.get("replay: sample, relabel", 0) / update
     return (

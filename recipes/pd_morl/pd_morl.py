@@ -90,6 +90,9 @@ def main(cfg: DictConfig) -> None:
             with timeit("sample"):
                 sample = replay_buffer.sample()
             for batch in sample.split(cfg.replay_buffer.batch_size):
+                if cfg.compute.compile:
+                    # CUDA graphs may overwrite what those of the last update gave.
+                    torch.compiler.cudagraph_mark_step_begin()
                 with timeit("update critic"):
                     metrics |= critic_gradients(batch)
                     optimizers["critic"].step()
