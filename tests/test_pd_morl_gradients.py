@@ -36,23 +36,67 @@ def test_compiled_as_asked_for(monkeypatch):
     monkeypatch.setattr(torch, "compile", lambda function, **options: asked.append(options))
     monkeypatch.setenv("CXX", sys.executable)
     learning.make_gradients(*make_loss("compute.compile_mode=reduce-overhead"))
-    assert [options["mode"] for options in asked] == ["reduce-overhead"] * 2
-    assert all(options["fullgraph"] for options in asked)
+    assert [call["options"]["triton.cudagraphs"] for call in asked] == [True] * 2
+    assert all(call["fullgraph"] for call in asked)
+
+
+def test_an_unknown_mode_is_refused(monkeypatch):
+    monkeypatch.setenv("CXX", sys.executable)
+    with pytest.raises(RuntimeError, match="fastest.*reduce-overhead"):
+        learning.make_gradients(*make_loss("compute.compile_mode=fastest"))
+
+
+@pytest.fixture
+def eager_backend(monkeypatch) -> list[int]:
+    """Compiles to graphs that run without a C++ compiler; how many graphs there are in the end."""
+    compile_with = torch.compile
+    graphs = []
+
+    def count(graph, example_inputs):
+        graphs.append(len(example_inputs))
+        return graph.forward
+
+    def compiled(function, options, **others):
+        only = {"guard_filter_fn": options["guard_filter_fn"]}
+        return compile_with(function, backend=count, options=only, **others)
+
+    monkeypatch.setenv("CXX", sys.executable)
+    monkeypatch.setattr(torch, "compile", compiled)
+    torch._dynamo.reset()
+    return graphs
+
+
+def test_what_is_checked_at_every_update(eager_backend, monkeypatch):
+    """Not the modules, thousands of checks; but the tensors, and the number of threads."""
+    kept = []
+    choose = learning._guards
+
+    def counting(guards):
+        chosen = choose(guards)
+        kept.append(sum(chosen))
+        return chosen
+
+    monkeypatch.setattr(learning, "_guards", counting)
+    run, _ = learning.make_gradients(*make_loss())
+    for size in (16, 16, 8):
+        run(transitions(1000)[:size])
+    assert len(eager_backend) == 2, "one graph of each size"
+    assert max(kept) < 200
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(threads + 1)
+        run(transitions(1000)[:8])
+    finally:
+        torch.set_num_threads(threads)
+    assert len(eager_backend) == 3
 
 
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("network", ["qvalue", "actor"])
-def test_gradients_are_those_of_the_loss(network, compiled, monkeypatch):
+def test_gradients_are_those_of_the_loss(network, compiled, request):
     """Of this batch alone, clipped, and of one network alone; twice, since gradients add up."""
     if compiled:
-        compile_with = torch.compile
-        monkeypatch.setenv("CXX", sys.executable)
-        monkeypatch.setattr(
-            torch,
-            "compile",
-            lambda function, mode, **options: compile_with(function, backend="eager", **options),
-        )
-        torch._dynamo.reset()
+        request.getfixturevalue("eager_backend")
     cfg, loss = make_loss("optim.max_grad_norm=0.05", f"compute.compile={compiled}".lower())
     run = dict(zip(("qvalue", "actor"), learning.make_gradients(cfg, loss), strict=True))[network]
     other = "actor" if network == "qvalue" else "qvalue"

@@ -14,7 +14,7 @@ from torchrl.modules import MLP, TanhModule
 __all__ = ["make_actor", "make_vector_critic", "saturated_fraction"]
 
 
-class _LastLinear(nn.Linear):
+class _PreciseLinear(nn.Linear):
     """A linear layer in the precision of its weights, also under :class:`torch.autocast`.
 
     Values and actions are compared in their last digits: bfloat16 has three of them.
@@ -28,7 +28,7 @@ class _LastLinear(nn.Linear):
             return super().forward(input.to(self.weight.dtype))
 
 
-class _ScaledLinear(_LastLinear):
+class _ScaledLinear(_PreciseLinear):
     """A linear layer that starts, and restarts, with small weights and no bias.
 
     The gain lives in ``reset_parameters``, and not in a one-off edit of the weights, so that it
@@ -112,6 +112,8 @@ def make_actor(
         activation_class=activation_class,
         device=device,
     )
+    if num_cells:
+        _keep_precision(mlp, 0, device=device)
     mlp[-1] = _ScaledLinear(
         mlp[-1].in_features, mlp[-1].out_features, gain=last_layer_gain, device=device
     )
@@ -185,10 +187,8 @@ def make_vector_critic(
         norm_kwargs=[{"normalized_shape": n} for n in num_cells] if layer_norm else None,
         device=device,
     )
-    last = nn.utils.skip_init(_LastLinear, mlp[-1].in_features, num_objectives, device=device)
-    # Its own parameters: none are drawn anew.
-    last.weight, last.bias = mlp[-1].weight, mlp[-1].bias
-    mlp[-1] = last
+    _keep_precision(mlp, 0, device=device)
+    _keep_precision(mlp, len(mlp) - 1, device=device)
     return TensorDictModule(mlp, in_keys=list(in_keys), out_keys=[out_key])
 
 
@@ -222,6 +222,15 @@ def saturated_fraction(
     """
     scaled = 2 * (action.detach() - low) / (high - low) - 1
     return (scaled.abs() > threshold).to(action.dtype).mean()
+
+
+def _keep_precision(mlp: nn.Sequential, index: int, device: torch.device | str | None) -> None:
+    """Exchange a linear layer for one that autocast leaves alone, with the same parameters."""
+    old = mlp[index]
+    new = nn.utils.skip_init(_PreciseLinear, old.in_features, old.out_features, device=device)
+    # Its own parameters: none are drawn anew.
+    new.weight, new.bias = old.weight, old.bias
+    mlp[index] = new
 
 
 def _action_bounds(action_spec: TensorSpec, key: NestedKey) -> tuple[Tensor, Tensor]:
