@@ -57,6 +57,15 @@ def test_keys_map_to_their_solutions():
     assert interpolator(torch.eye(3)).argmax(-1).tolist() == [0, 1, 2]
 
 
+def test_is_not_rounded_under_autocast():
+    interpolator = PreferenceInterpolator(torch.eye(3))
+    interpolator.refit(-100 * torch.rand(3, 3))
+    preference = _simplex(50, 3)
+    exact = interpolator(preference)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(interpolator(preference), exact)
+
+
 def test_one_objective():
     interpolator = PreferenceInterpolator(torch.ones(1, 1))
     preference = torch.ones(5, 1)

@@ -70,7 +70,7 @@ def test_what_leads_to_a_failure_is_known():
 
 def test_bfloat16_rounds_layers_and_not_actions():
     torch.manual_seed(0)
-    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8, 8))
     with torch.no_grad():
         actor[0].module[-1].bias.fill_(3.0)  # tanh 0.9951, between two numbers of bfloat16
     noisy, _ = utils.make_policy(actor, torch.tensor([0.1, 0.1]))

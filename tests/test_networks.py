@@ -135,10 +135,29 @@ def test_state_dict_keys_are_stable():
     assert list(critic.state_dict()) == layers
 
 
+def _networks(num_cells: tuple[int, ...]):
+    bounds = Bounded(-1.0, 1.0, (2,))
+    return (
+        make_actor(bounds, in_features=7, num_cells=num_cells, last_layer_gain=1.0),
+        make_vector_critic(4, in_features=9, num_cells=num_cells),
+    )
+
+
+@pytest.mark.parametrize("num_cells", [(), (8,)])
+def test_inputs_keep_their_digits_under_autocast(num_cells):
+    """There is no other layer yet: nothing is rounded."""
+    data = _data(50)
+    for network in _networks(num_cells):
+        exact = network(data.clone())
+        with torch.autocast("cpu", torch.bfloat16):
+            rounded = network(data.clone())
+        for key in network.out_keys:
+            assert torch.equal(rounded[key], exact[key])
+
+
 def test_outputs_keep_their_digits_under_autocast():
     torch.manual_seed(0)
-    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=7, num_cells=(8,), last_layer_gain=1.0)
-    critic = make_vector_critic(4, in_features=9, num_cells=(8,))
+    actor, critic = _networks(num_cells=(8, 8))
     data = _data(50)
     for network in (actor, critic):
         exact = network(data.clone())

@@ -42,7 +42,7 @@ def test_compiled_as_asked_for(monkeypatch):
 
 def test_an_unknown_mode_is_refused(monkeypatch):
     monkeypatch.setenv("CXX", sys.executable)
-    with pytest.raises(RuntimeError, match="fastest.*reduce-overhead"):
+    with pytest.raises(RuntimeError, match=r"fastest.*reduce-overhead"):
         learning.make_gradients(*make_loss("compute.compile_mode=fastest"))
 
 

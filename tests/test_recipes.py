@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from omegaconf import OmegaConf
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
@@ -214,16 +213,14 @@ def test_trains_on_a_gpu(compute, tmp_path):
 
 @pytest.mark.parametrize("given", [True, False])
 def test_bfloat16_as_asked_for(given):
-    cfg = OmegaConf.create({"compute": {"bfloat16": given}})
-    assert use_bfloat16(cfg, torch.device("cpu")) is given
+    assert use_bfloat16(given, torch.device("cpu")) is given
 
 
 @pytest.mark.parametrize("feature", ["avx512_bf16", "amx_bf16", None])
 def test_bfloat16_where_the_processor_has_it(feature, monkeypatch):
     found = dict.fromkeys(("avx512_bf16", "amx_bf16"), False) | {feature: True}
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: found)
-    cfg = OmegaConf.create({"compute": {"bfloat16": None}})
-    assert use_bfloat16(cfg, torch.device("cpu")) is (feature is not None)
+    assert use_bfloat16(None, torch.device("cpu")) is (feature is not None)
 
 
 def test_training_that_ends_between_two_evaluations_keeps_its_policy(tmp_path):

@@ -41,6 +41,17 @@ def test_ensemble_is_the_mean_of_its_sigmoids():
     assert (scores.std(0) > 0).all()
 
 
+def test_rounds_hidden_layers_alone_under_autocast():
+    batch = data(50)
+    for num_cells, rounds in {(8,): False, (8, 8): True}.items():
+        model = RewardModel(in_features=6, num_cells=num_cells, last_layer_gain=1.0)
+        exact = model(batch.clone())["demo_score"]
+        with torch.autocast("cpu", torch.bfloat16):
+            score = model(batch.clone())["demo_score"]
+        assert torch.equal(score, exact) is not rounds
+        torch.testing.assert_close(score, exact, atol=0.02, rtol=0.02)
+
+
 def test_state_dict_keys():
     model = RewardModel(in_features=6, num_cells=(8, 8), num_members=2)
     assert list(model.state_dict()) == [

@@ -15,6 +15,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from torchrl._utils import timeit
 
+from recipes.pd_morl.learning import use_bfloat16
 from torchrl_morl.data import save_demonstrations
 
 from . import ranking, styles, utils
@@ -28,6 +29,8 @@ def main(cfg: DictConfig) -> None:
     ranking.hidden_entries(cfg)
     styles.rollouts_per_style(cfg)
     recorded = utils.read_demonstrations(cfg)
+    # In the cards stands what the models were trained in.
+    cfg.bfloat16 = use_bfloat16(cfg.bfloat16, torch.device("cpu"))
     torch.set_num_threads(cfg.torch_threads)
     torch.manual_seed(cfg.seed)
     run_dir = Path(HydraConfig.get().runtime.output_dir)

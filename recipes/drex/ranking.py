@@ -17,6 +17,7 @@ from torchrl_morl.deploy import save_reward_model
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.objectives import BradleyTerryLoss
 
+from ..pd_morl.learning import use_bfloat16
 from .utils import ACTION_SPEC, metadata
 
 
@@ -85,7 +86,10 @@ def train_reward_model(
     model = make_reward_model(cfg)
     loss = BradleyTerryLoss(model, label_smoothing=section.label_smoothing)
     optimizer = torch.optim.AdamW(
-        loss.parameters(), lr=section.lr, weight_decay=section.weight_decay
+        loss.parameters(), lr=section.lr, weight_decay=section.weight_decay, fused=True
+    )
+    precision = torch.autocast(
+        "cpu", torch.bfloat16, enabled=use_bfloat16(cfg.bfloat16, torch.device("cpu"))
     )
     share = section.batch_size // len(snippets)
     with tqdm.tqdm(total=section.updates, desc="reward model", unit="update") as progress:
@@ -94,7 +98,8 @@ def train_reward_model(
             for side in ("preferred", "other"):
                 # Weights behind zeros have no gradient: those that are zero stay so.
                 pairs[side, "observation"][..., hidden] = 0.0
-            out = loss(pairs)
+            with precision:
+                out = loss(pairs)
             optimizer.zero_grad()
             out["loss_bradley_terry"].backward()
             optimizer.step()

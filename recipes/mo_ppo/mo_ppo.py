@@ -53,7 +53,7 @@ def main(cfg: DictConfig) -> None:
     frames, begin = utils.resume(cfg, state)
     schedule = utils.make_schedule(cfg, optimizers["actor"], frames, begin)
     # In the card of a policy stands what it was trained in.
-    cfg.compute.bfloat16 = use_bfloat16(cfg, task.device)
+    cfg.compute.bfloat16 = use_bfloat16(cfg.compute.bfloat16, task.device)
     precision = torch.autocast(task.device.type, torch.bfloat16, enabled=cfg.compute.bfloat16)
     env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
     demo = task.space.tunable.index("demo") if "demo" in task.space.tunable else None

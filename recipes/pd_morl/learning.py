@@ -22,10 +22,10 @@ Gradients = Callable[[TensorDictBase], dict[str, Tensor]]
 """From a batch to the clipped gradients, which it leaves in the parameters, and to metadata."""
 
 
-def use_bfloat16(cfg: DictConfig, device: torch.device) -> bool:
-    """Whether updates compute in bfloat16: as configured, else where the processor multiplies it."""
-    if cfg.compute.bfloat16 is not None:
-        return cfg.compute.bfloat16
+def use_bfloat16(asked: bool | None, device: torch.device) -> bool:
+    """Whether updates compute in bfloat16: as asked, else where the processor multiplies it."""
+    if asked is not None:
+        return asked
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported(including_emulation=False)
     capabilities = torch.cpu.get_capabilities()
@@ -76,7 +76,8 @@ def make_gradients(cfg: DictConfig, loss: MOTD3Loss) -> tuple[Gradients, Gradien
     second graph would add to each update.
     """
     device = torch.device(cfg.device)
-    precision = torch.autocast(device.type, torch.bfloat16, enabled=use_bfloat16(cfg, device))
+    enabled = use_bfloat16(cfg.compute.bfloat16, device)
+    precision = torch.autocast(device.type, torch.bfloat16, enabled=enabled)
 
     def gradients(network: str, function: Loss) -> Gradients:
         params = getattr(loss, f"{network}_network_params").flatten_keys().values()

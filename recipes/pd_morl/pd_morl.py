@@ -30,7 +30,7 @@ def main(cfg: DictConfig) -> None:
     torch.manual_seed(cfg.seed)
     device = torch.device(cfg.device)
     # In the card of a policy stands what it was trained in.
-    cfg.compute.bfloat16 = learning.use_bfloat16(cfg, device)
+    cfg.compute.bfloat16 = learning.use_bfloat16(cfg.compute.bfloat16, device)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
     files.check_run_dir(run_dir)
 

@@ -148,7 +148,9 @@ class PreferenceInterpolator(nn.Module):
             return unit_preference
         # Not torch.cdist: above 25 rows it goes through a matrix product that costs half the digits.
         distance = torch.linalg.vector_norm(preference.unsqueeze(-2) - self.key_preferences, dim=-1)
-        direction = self.coefficients[-1] - distance @ self.coefficients[:-1]
+        # Nor in the precision of torch.autocast: angles are small where a policy is good.
+        with torch.autocast(distance.device.type, enabled=False):
+            direction = self.coefficients[-1] - distance @ self.coefficients[:-1]
         return torch.where(self.fitted, F.normalize(direction, dim=-1), unit_preference)
 
     def normalize(self, values: Tensor) -> Tensor:

@@ -17,7 +17,8 @@ __all__ = ["make_actor", "make_vector_critic", "saturated_fraction"]
 class _PreciseLinear(nn.Linear):
     """A linear layer in the precision of its weights, also under :class:`torch.autocast`.
 
-    Values and actions are compared in their last digits: bfloat16 has three of them.
+    First and last layers of a network are such: bfloat16 has three digits, which round metres to
+    centimetres, and values and actions are compared in their last ones.
     """
 
     def forward(self, input: Tensor) -> Tensor:
@@ -65,7 +66,7 @@ def make_actor(
     :class:`~torchrl.modules.TanhModule` maps it to the bounds of the action. The pre-tanh output is
     kept under its own key, so that a loss can penalise it: an actor that saturates has no gradient
     left and does the same in every state and for every preference. Under :class:`torch.autocast` the
-    last layer keeps the precision of its weights, and so does the action.
+    first and the last layer keep the precision of their weights, and so does the action.
 
     The parameters are created at once (no lazy layers). Keys of the state dict, with ``n`` hidden
     layers: ``module.0.module.{0, 2, ..., 2n}.{weight, bias}`` and the bounds
@@ -113,7 +114,7 @@ def make_actor(
         device=device,
     )
     if num_cells:
-        _keep_precision(mlp, 0, device=device)
+        keep_precision(mlp, 0)
     mlp[-1] = _ScaledLinear(
         mlp[-1].in_features, mlp[-1].out_features, gain=last_layer_gain, device=device
     )
@@ -136,7 +137,8 @@ def make_vector_critic(
 ) -> TensorDictModule:
     """Build a critic ``(state, preference, action) -> R^K`` with one value per objective.
 
-    Under :class:`torch.autocast` the last layer keeps the precision of its weights, and so do values.
+    Under :class:`torch.autocast` the first and the last layer keep the precision of their weights, and
+    so do values.
 
     The parameters are created at once (no lazy layers). Keys of the state dict:
     ``module.{index}.{weight, bias}``, the index counting linear layers, norms and activations.
@@ -187,8 +189,8 @@ def make_vector_critic(
         norm_kwargs=[{"normalized_shape": n} for n in num_cells] if layer_norm else None,
         device=device,
     )
-    _keep_precision(mlp, 0, device=device)
-    _keep_precision(mlp, len(mlp) - 1, device=device)
+    keep_precision(mlp, 0)
+    keep_precision(mlp, -1)
     return TensorDictModule(mlp, in_keys=list(in_keys), out_keys=[out_key])
 
 
@@ -224,10 +226,10 @@ def saturated_fraction(
     return (scaled.abs() > threshold).to(action.dtype).mean()
 
 
-def _keep_precision(mlp: nn.Sequential, index: int, device: torch.device | str | None) -> None:
+def keep_precision(mlp: nn.Sequential, index: int) -> None:
     """Exchange a linear layer for one that autocast leaves alone, with the same parameters."""
     old = mlp[index]
-    new = nn.utils.skip_init(_PreciseLinear, old.in_features, old.out_features, device=device)
+    new = _PreciseLinear(old.in_features, old.out_features, device="meta")
     # Its own parameters: none are drawn anew.
     new.weight, new.bias = old.weight, old.bias
     mlp[index] = new

@@ -10,7 +10,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor, nn
 from torchrl.modules import MLP
 
-from torchrl_morl.modules.networks import _ScaledLinear
+from torchrl_morl.modules.networks import _ScaledLinear, keep_precision
 
 __all__ = ["RewardModel"]
 
@@ -82,6 +82,8 @@ class RewardModel(TensorDictModule):
                 activation_class=activation_class,
                 device=device,
             )
+            if num_cells:
+                keep_precision(mlp, 0)
             mlp[-1] = _ScaledLinear(mlp[-1].in_features, 1, gain=last_layer_gain, device=device)
             members.append(mlp)
         super().__init__(_MeanSigmoid(members), in_keys=list(in_keys), out_keys=[out_key])
