@@ -15,11 +15,12 @@ SPEC = Bounded(torch.tensor([-1.0, 0.0]), torch.tensor([1.0, 3.0]))
 SPACE = PreferenceSpace(("core", "distance", "efficiency"), static={"core": 1.0})
 
 
-def make_networks(num_objectives: int = 3, num_tunable: int = 2):
-    actor = make_actor(SPEC, in_features=OBS + num_tunable, num_cells=(16,), last_layer_gain=1.0)
-    critic = make_vector_critic(
-        num_objectives, in_features=OBS + num_tunable + ACT, num_cells=(16,)
-    )
+def make_networks(
+    num_objectives: int = 3, num_tunable: int = 2, num_cells: tuple[int, ...] = (16,)
+):
+    size = OBS + num_tunable
+    actor = make_actor(SPEC, in_features=size, num_cells=num_cells, last_layer_gain=1.0)
+    critic = make_vector_critic(num_objectives, in_features=size + ACT, num_cells=num_cells)
     return actor, critic
 
 
@@ -29,7 +30,7 @@ def make_interpolator() -> PreferenceInterpolator:
     return interpolator
 
 
-def make_loss(**kwargs) -> MOTD3Loss:
+def make_loss(num_cells: tuple[int, ...] = (16,), **kwargs) -> MOTD3Loss:
     """A loss with every term on."""
     defaults = {
         "preference_space": SPACE,
@@ -40,7 +41,7 @@ def make_loss(**kwargs) -> MOTD3Loss:
         "pre_tanh_coeff": 0.1,
         "action_spec": SPEC,
     }
-    return MOTD3Loss(*make_networks(), **(defaults | kwargs))
+    return MOTD3Loss(*make_networks(num_cells=num_cells), **(defaults | kwargs))
 
 
 def make_batch(*batch: int, num_objectives: int = 3, num_tunable: int = 2) -> TensorDict:

@@ -303,9 +303,14 @@ def test_without_vmap_the_losses_are_the_same():
 @pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("loss_function", ["smooth_l1", "l2"])
 def test_mixed_precision(loss_function, compiled):
-    # Without the noise of the target only the hidden layers differ.
+    # Without the noise of the target only what lies between first and last layer differs.
     torch.manual_seed(0)
-    loss = make_loss(loss_function=loss_function, deactivate_vmap=compiled, policy_noise=0.0)
+    loss = make_loss(
+        num_cells=(16, 16),
+        loss_function=loss_function,
+        deactivate_vmap=compiled,
+        policy_noise=0.0,
+    )
     SoftUpdate(loss, tau=0.1)
     batch = make_batch(64)
 
