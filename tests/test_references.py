@@ -21,7 +21,7 @@ needs_pyrvo = pytest.mark.skipif(not references._has_pyrvo, reason="pyrvo is not
 
 
 @pytest.mark.parametrize(
-    "name", [*(set(REFERENCES) - {"orca"}), pytest.param("orca", marks=needs_pyrvo)]
+    "name", [*sorted(set(REFERENCES) - {"orca"}), pytest.param("orca", marks=needs_pyrvo)]
 )
 def test_a_sweep_drives_every_reference(name):
     preferences = SPACE.corners()
