@@ -21,9 +21,8 @@ demo: $(STAMP) ## drive one robot through several preferences, and film it
 train: $(STAMP) ## train a policy from nothing as the shipped one, ARGS="--pd-morl seed=1" overrides
 	@$(RUN) recipes.train $(ARGS)
 
-# The whole suite on every core, each process with one thread; a part of it in this process.
 test: $(STAMP) ## run the tests and the docstring examples, ARGS="-m slow" for the long ones
-	@OMP_NUM_THREADS=1 $(RUN) pytest -q $(or $(ARGS),--numprocesses auto --maxprocesses 8 --dist worksteal)
+	@OMP_NUM_THREADS=1 $(RUN) pytest -q $(ARGS)
 
 lint: $(STAMP) ## check style and formatting
 	@$(RUN) ruff check .
