@@ -55,22 +55,26 @@ class BareLoop(TD3Learner):
 
     def __init__(self, ours: Ours, data: TensorDict, *, compiled: bool = False) -> None:
         super().__init__()
-        cfg, loss, space = ours.cfg, ours.loss, ours.space
-        if cfg.preference.relabel_law != "jeffreys":
+        cfg, loss, preference_space = ours.cfg, ours.loss, ours.preference_space
+        if cfg.preference.relabel_distribution != "jeffreys":
             raise ValueError(
-                "The bare loop draws preferences by jeffreys' law only, "
-                f"got preference.relabel_law={cfg.preference.relabel_law!r}."
+                "The bare loop draws preferences from jeffreys only, "
+                f"got preference.relabel_distribution={cfg.preference.relabel_distribution!r}."
             )
-        self.cfg, self.policy_delay, self.space = cfg, ours.policy_delay, space
+        self.cfg, self.policy_delay, self.preference_space = (
+            cfg,
+            ours.policy_delay,
+            preference_space,
+        )
         self.batch_size = cfg.replay_buffer.batch_size
         self.interpolator, self.angle = loss.interpolator, loss.angle
-        self.tunable = torch.tensor(space.tunable_indices)
+        self.tunable = torch.tensor(preference_space.tunable_indices)
         self.actor = _layers(loss.actor_network_params["module", "0", "module"])
         self.straight_drive = None
         # Where the critic is one of several modules, it is the first.
         critic = ("module",)
         if cfg.network.straight_drive:
-            self.straight_drive = utils.make_straight_drive_value(cfg, space)
+            self.straight_drive = utils.make_straight_drive_value(cfg, preference_space)
             critic = ("module", "0", "module")
         self.critics = [_layers(params[critic]) for params in loss.qvalue_network_params]
         self.actor_parameters = _flat(self.actor)
@@ -172,8 +176,8 @@ class BareLoop(TD3Learner):
         return value if self.straight_drive is None else value + self.straight_drive(state)
 
     def _weights(self, preference: Tensor) -> Tensor:
-        (_, core), *more = self.space.static
-        assert not more and self.space.objectives[0] == "core"
+        (_, core), *more = self.preference_space.static
+        assert not more and self.preference_space.objectives[0] == "core"
         return F.pad(preference, (1, 0), value=core)
 
     def _direction_angle(self, preference: Tensor, values: Tensor) -> Tensor:

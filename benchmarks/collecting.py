@@ -37,10 +37,10 @@ from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollecto
 from torchrl.envs import EnvBase
 
 import recipes.mo_ppo
-from envs.policy_env import OBSERVATION_SIZE
 from recipes.mo_ppo import utils as mo_ppo
 from recipes.pd_morl import pd_morl, utils
 from torchrl_morl.deploy import load_policy
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel
 
 from .learner import machine
@@ -105,7 +105,7 @@ def pd_morl_batch(overlapping: bool, threads: int, frames: int, overrides: list[
 
 def mo_ppo_collectors(num_envs: int, steps: int) -> dict[str, Collector | MultiSyncCollector]:
     """As in the recipe, with a reward model that has learned nothing: it costs the same."""
-    start, space, card = load_policy(POLICY)
+    start, preference_space, card = load_policy(POLICY)
     cfg = OmegaConf.load(Path(recipes.mo_ppo.__file__).parent / "config.yaml")
     del cfg["hydra"]
     cfg.policy = str(POLICY)
@@ -120,12 +120,14 @@ def mo_ppo_collectors(num_envs: int, steps: int) -> dict[str, Collector | MultiS
     }
     half = OmegaConf.merge(cfg, {"env": {"num_envs": num_envs // 2}})
     makers = [
-        functools.partial(make_env, OmegaConf.merge(half, {"seed": seed}), space, reward_model)
+        functools.partial(
+            make_env, OmegaConf.merge(half, {"seed": seed}), preference_space, reward_model
+        )
         for seed in range(2)
     ]
     return {
         "one process": Collector(
-            utils.make_train_env(cfg, space, reward_model),
+            utils.make_train_env(cfg, preference_space, reward_model),
             mo_ppo.make_policy(start, sigma)[1],
             **settings,
         ),

@@ -17,7 +17,7 @@ import torch
 import torchrl
 
 from envs import NavigationEnv
-from envs.demonstrator import CircleDemonstrator
+from envs.demonstrations import CircleDemonstrator
 from recipes.pd_morl import utils
 from recipes.sweep import sweep
 from torchrl_morl.preferences import PreferenceSpace
@@ -93,18 +93,18 @@ def objectives(size: int, options: Options) -> float:
     """Critics' loss, actor's loss and a relabelled batch."""
     cfg = config("compute.compile=false")
     names = ("core", *(f"objective_{i}" for i in range(1, size)))
-    space = PreferenceSpace(names, static={"core": 1.0})
+    preference_space = PreferenceSpace(names, static={"core": 1.0})
     device = torch.device("cpu")
     env = utils.make_train_env(cfg, utils.make_preference_space(False), None)
-    actor, _ = utils.make_policy(cfg, env, space, device)
-    loss = utils.make_loss(cfg, env, space, actor, device)
+    actor, _ = utils.make_policy(cfg, env, preference_space, device)
+    loss = utils.make_loss(cfg, env, preference_space, actor, device)
     env.close()
-    loss.interpolator.refit(-torch.rand(space.num_tunable, space.num_tunable))
+    loss.interpolator.refit(-torch.rand(preference_space.num_tunable, preference_space.num_tunable))
     data = transitions(_FEW_ROWS)
-    data["preference"] = space.sample(_FEW_ROWS)
+    data["preference"] = preference_space.sample(_FEW_ROWS)
     data["next", "preference"] = data["preference"].clone()
     data["next", "reward"] = 10 * torch.randn(_FEW_ROWS, size)
-    replay_buffer = utils.make_replay_buffer(cfg, space, device)
+    replay_buffer = utils.make_replay_buffer(cfg, preference_space, device)
     replay_buffer.extend(data)
 
     def losses() -> None:
@@ -119,8 +119,10 @@ def replay(size: int, options: Options) -> float:
     """Relabelled batches for the updates between two batches of the collector, all at once."""
     cfg = config(f"replay_buffer.size={size}")
     updates = config().optim.updates_per_batch
-    space = utils.make_preference_space(with_demonstrations=True)
-    replay_buffer = utils.make_replay_buffer(cfg, space, torch.device("cpu"), batches=updates)
+    preference_space = utils.make_preference_space(with_demonstrations=True)
+    replay_buffer = utils.make_replay_buffer(
+        cfg, preference_space, torch.device("cpu"), batches=updates
+    )
     # By and by, as a collector does it: the memory is that of the storage.
     data = transitions(min(size, _FEW_ROWS))
     for _ in range(-(-size // len(data))):
@@ -132,15 +134,15 @@ def preferences(size: int, options: Options) -> float:
     """A sweep, distances to demonstrations included; the policy is an untrained one."""
     clock = CLOCKS[options.clock]
     cfg = config()
-    space = utils.make_preference_space(with_demonstrations=True)
+    preference_space = utils.make_preference_space(with_demonstrations=True)
     env = NavigationEnv(num_envs=1, num_threads=1)
-    actor, _ = utils.make_policy(cfg, env, space, torch.device("cpu"))
+    actor, _ = utils.make_policy(cfg, env, preference_space, torch.device("cpu"))
     env.close()
     start = clock()
     result = sweep(
         actor,
-        space,
-        space.sample(size),
+        preference_space,
+        preference_space.sample(size),
         episodes=options.scenes,
         seed=0,
         max_episode_steps=options.steps,

@@ -18,8 +18,8 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.objectives import SoftUpdate
 
 import recipes.pd_morl
-from envs.policy_env import OBSERVATION_SIZE
 from recipes.pd_morl import learning, utils
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 
 ACTION_SIZE = 2
 CONFIG = Path(recipes.pd_morl.__file__).parent / "config.yaml"
@@ -122,13 +122,13 @@ def config(*overrides: str) -> DictConfig:
 
 def transitions(number: int, seed: int = 0) -> TensorDict:
     """Random transitions of the sizes of the navigation task."""
-    space = utils.make_preference_space(with_demonstrations=True)
+    preference_space = utils.make_preference_space(with_demonstrations=True)
     generator = torch.Generator().manual_seed(seed)
 
     def normal(size: int) -> torch.Tensor:
         return torch.randn(number, size, generator=generator)
 
-    preference = space.sample(number, generator=generator)
+    preference = preference_space.sample(number, generator=generator)
     ends = torch.rand(number, 1, generator=generator) < 0.01
     data = TensorDict(
         observation=normal(OBSERVATION_SIZE),
@@ -137,7 +137,7 @@ def transitions(number: int, seed: int = 0) -> TensorDict:
         next=TensorDict(
             observation=normal(OBSERVATION_SIZE),
             preference=preference.clone(),
-            reward=10 * normal(space.num_objectives),
+            reward=10 * normal(preference_space.num_objectives),
             done=ends,
             terminated=ends.clone(),
             truncated=torch.zeros_like(ends),
@@ -154,11 +154,11 @@ class Ours(TD3Learner):
     def __init__(self, cfg: DictConfig, data: TensorDict) -> None:
         super().__init__()
         self.cfg, device = cfg, torch.device(cfg.device)
-        self.space = utils.make_preference_space(with_demonstrations=True)
+        self.preference_space = utils.make_preference_space(with_demonstrations=True)
         self.policy_delay = cfg.optim.policy_delay
         env = utils.make_train_env(cfg, utils.make_preference_space(False), None)
-        self.actor, _ = utils.make_policy(cfg, env, self.space, device)
-        self.loss = utils.make_loss(cfg, env, self.space, self.actor, device)
+        self.actor, _ = utils.make_policy(cfg, env, self.preference_space, device)
+        self.loss = utils.make_loss(cfg, env, self.preference_space, self.actor, device)
         env.close()
         self.critic_gradients, self.actor_gradients = learning.make_gradients(cfg, self.loss)
         self.target_updater = SoftUpdate(self.loss, eps=cfg.optim.polyak)
@@ -167,7 +167,7 @@ class Ours(TD3Learner):
             average = get_ema_multi_avg_fn(cfg.optim.actor_average)
             self.averaged = AveragedModel(self.actor, multi_avg_fn=average, use_buffers=False)
         self.optimizers, _ = learning.make_optimizers(cfg, self.loss)
-        self.replay_buffer = utils.make_replay_buffer(cfg, self.space, device)
+        self.replay_buffer = utils.make_replay_buffer(cfg, self.preference_space, device)
         self.replay_buffer.extend(data)
         self.batches: list[TensorDictBase] = []
 

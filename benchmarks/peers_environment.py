@@ -15,15 +15,15 @@ from torchrl.envs import MujocoEnv
 
 from envs import get_robot, get_scene
 from envs.mjcf import LIDAR_HEIGHT, navigation_mjcf
-from envs.scene_stream import SCENE_BLOCK
-from envs.scenes import HUMAN_RADIUS
-from envs.task import (
+from envs.navigation_task import (
     COLLISION_REWARD,
     DISTANCE_MINIMUM,
     DISTANCE_THRESHOLD,
     GOAL_REWARD,
     STYLE_PENALTY,
 )
+from envs.scene_stream import SCENE_BLOCK
+from envs.scenes import HUMAN_RADIUS
 
 SCENE = "static"
 ROBOT = "turtlebot2"

@@ -72,9 +72,9 @@ def make_env(
     return Watched(env, scale, after_step)
 
 
-def simplex_weights(space: PreferenceSpace, preference: Tensor) -> Tensor:
+def simplex_weights(preference_space: PreferenceSpace, preference: Tensor) -> Tensor:
     """The peers' weights for preferences of ours."""
-    weights = space.weights(preference)
+    weights = preference_space.weights(preference)
     return weights / weights.sum(-1, keepdim=True)
 
 
@@ -83,10 +83,10 @@ class _OurWeights:
 
     def __init__(self, num_objectives: int, *_: Any) -> None:
         with_demonstrations = num_objectives > len(NavigationEnv.objectives)
-        self.space = utils.make_preference_space(with_demonstrations=with_demonstrations)
+        self.preference_space = utils.make_preference_space(with_demonstrations=with_demonstrations)
 
     def sample(self, number: int) -> Tensor:
-        return simplex_weights(self.space, self.space.sample(number))
+        return simplex_weights(self.preference_space, self.preference_space.sample(number))
 
 
 class Peer:
@@ -107,7 +107,7 @@ class Peer:
         torch.manual_seed(seed)
         self.name, self.env = name, env
         with_demonstrations = "demo" in env.unwrapped.objectives
-        self.space = utils.make_preference_space(with_demonstrations=with_demonstrations)
+        self.preference_space = utils.make_preference_space(with_demonstrations=with_demonstrations)
         options = {
             "net_arch": CELLS,
             "batch_size": BATCH_SIZE,
@@ -133,7 +133,7 @@ class Peer:
         """The deterministic policy, as the recipe's evaluation calls it."""
 
         def act(observation: Tensor, preference: Tensor) -> Tensor:
-            return self._act(observation, simplex_weights(self.space, preference))
+            return self._act(observation, simplex_weights(self.preference_space, preference))
 
         return TensorDictModule(act, in_keys=["observation", "preference"], out_keys=["action"])
 
@@ -148,7 +148,7 @@ class Peer:
         observation_size = self.env.observation_space.shape[0]
         actor = make_actor(
             Bounded(-1.0, 1.0, (2,)),
-            in_features=observation_size + self.space.num_tunable,
+            in_features=observation_size + self.preference_space.num_tunable,
             num_cells=CELLS,
         )
         layers = [layer for layer in actor.modules() if isinstance(layer, nn.Linear)]
@@ -158,14 +158,16 @@ class Peer:
             for ours, layer in zip(layers[1:], [*theirs[1:], policy.mean], strict=True):
                 ours.load_state_dict(layer.state_dict())
             # Their weights are an affine function of our preference, for the first layer to take over.
-            corners = simplex_weights(self.space, torch.eye(self.space.num_tunable))
+            corners = simplex_weights(
+                self.preference_space, torch.eye(self.preference_space.num_tunable)
+            )
             seen, weighed = theirs[0].weight.split((observation_size, corners.shape[-1]), dim=1)
             layers[0].weight.copy_(torch.cat((seen, weighed @ corners.T), dim=1))
             layers[0].bias.copy_(theirs[0].bias)
         save_policy(
             folder,
             actor,
-            space=self.space,
+            preference_space=self.preference_space,
             observation_size=observation_size,
             action_size=2,
             num_cells=tuple(CELLS),
@@ -178,5 +180,5 @@ class Peer:
             self.agent.train(
                 total_timesteps=total_steps,
                 eval_env=eval_env,
-                ref_point=np.full(self.space.num_objectives, -100.0),
+                ref_point=np.full(self.preference_space.num_objectives, -100.0),
             )

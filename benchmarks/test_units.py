@@ -89,12 +89,16 @@ def test_soft_update_and_average(benchmark, ours):
 
 def test_evaluation_of_one_preference(benchmark, cfg, ours):
     """All episodes of one preference, batched; the policy is an untrained one."""
-    space = utils.make_preference_space(with_demonstrations=True)
-    env = utils.make_eval_env(cfg, space, None)
+    preference_space = utils.make_preference_space(with_demonstrations=True)
+    env = utils.make_eval_env(cfg, preference_space, None)
 
     def evaluate():
         return rollout_preferences(
-            env, ours.actor, space.corners()[:1], max_steps=cfg.env.max_episode_steps, seed=0
+            env,
+            ours.actor,
+            preference_space.corners()[:1],
+            max_steps=cfg.env.max_episode_steps,
+            seed=0,
         )
 
     data = benchmark.pedantic(evaluate, rounds=3, iterations=1)

@@ -138,15 +138,15 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
     torch.set_num_threads(cfg.compute.torch_threads)
     scale = cfg.replay_buffer.reward_scale if args.reward_scale is None else args.reward_scale
     model, demo_card = utils.load_demonstration_objective(cfg) or (None, None)
-    space = utils.make_preference_space(with_demonstrations=model is not None)
-    eval_env = utils.make_eval_env(cfg, space, model)
+    preference_space = utils.make_preference_space(with_demonstrations=model is not None)
+    eval_env = utils.make_eval_env(cfg, preference_space, model)
     demonstration = evaluation.demonstrated(cfg, demo_card) if model else None
     budget = PEERS_MINUTES if args.minutes is None else args.minutes
     due = args.every
 
     def evaluate(steps: int) -> None:
         minutes = log.seconds[args.clock == "cpu"] / 60
-        arguments = (cfg, eval_env, peer.actor.eval(), space, demonstration)
+        arguments = (cfg, eval_env, peer.actor.eval(), preference_space, demonstration)
         result = log.evaluate(steps, evaluation.evaluate, *arguments)
         if args.save is not None:
             card = {

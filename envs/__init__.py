@@ -1,8 +1,8 @@
 """Simulation: batched MuJoCo environments, the navigation task, its scenes and robots."""
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
+from .faults import Faults
 from .navigation import NavigationEnv
-from .perturbation import Perturbation
 from .rendering import Camera
 from .robots import HSR, ROBOTS, TURTLEBOT2, Robot, get_robot
 from .scenes import (
@@ -10,6 +10,7 @@ from .scenes import (
     EMPTY,
     EXPLORING,
     HUMAN_RADIUS,
+    MIXED,
     MOVING_HUMAN,
     SCENES,
     SHOWCASE,
@@ -24,6 +25,7 @@ __all__ = [
     "EXPLORING",
     "HSR",
     "HUMAN_RADIUS",
+    "MIXED",
     "MOVING_HUMAN",
     "ROBOTS",
     "SCENES",
@@ -32,8 +34,8 @@ __all__ = [
     "TURTLEBOT2",
     "BatchedMujocoEnv",
     "Camera",
+    "Faults",
     "NavigationEnv",
-    "Perturbation",
     "PhysicsState",
     "Robot",
     "Scene",

@@ -19,17 +19,17 @@ from tensordict import TensorDict
 from torchrl.envs import ActionScaling, Compose, TransformedEnv
 
 from torchrl_morl.deploy import load_reward_model
+from torchrl_morl.deploy.features import policy_transforms
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.transforms import RewardModelReward
 
 from .navigation import NavigationEnv
-from .policy_env import policy_transforms
 
 
 class NavigationGymEnv(gymnasium.Env):
     """One :class:`NavigationEnv` simulation for Gymnasium, MO-Gymnasium and their wrappers.
 
-    Observations are the 36 features of :func:`envs.policy_env.policy_transforms`. Rewards are
+    Observations are the 36 features of :func:`torchrl_morl.deploy.features.policy_transforms`. Rewards are
     vectors, one entry per objective, as in `MO-Gymnasium <https://mo-gymnasium.farama.org>`_.
     ``info`` says in ``success``, ``collision_human`` and ``collision_obstacle`` why an episode
     terminated.

@@ -19,15 +19,15 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
 from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl, yaw_quaternion
+from .faults import Faults, get_faults
 from .geometry import arctan2, cos_sin
 from .lidar import MIN_RANGE, Lidar
 from .mjcf import Drive, navigation_mjcf, time_step
-from .perturbation import Perturbation, get_perturbation
+from .navigation_task import NavigationTask
 from .rendering import Camera
 from .robots import Robot, get_robot
 from .scene_stream import SceneStream
 from .scenes import Scene, get_scene
-from .task import NavigationTask
 from .views import chase_view, top_view
 
 
@@ -52,7 +52,7 @@ class NavigationEnv(BatchedMujocoEnv):
                                          snapshots and figures only (not with
                                          ``snapshots=False``)
     ``faults``             ``[N, 4]``    amounts of the faults of the episode, as in
-                                         :class:`Perturbation`; only if episodes draw them, not with
+                                         :class:`Faults`; only if episodes draw them, not with
                                          ``snapshots=False``
     =====================  ============  =======================================================
 
@@ -74,7 +74,7 @@ class NavigationEnv(BatchedMujocoEnv):
         max_range: range of the lidar, metres.
         repeat_failed: share of the episodes that take place in a scene in which one has failed, for
             training: see :class:`envs.scene_stream.SceneStream`.
-        perturbation: sensor and actuation faults, also as a mapping of their names to amounts.
+        faults: sensor and actuation faults, also as a mapping of their names to amounts.
         max_episode_steps: steps of 0.2 s before truncation.
         camera: ``"top"`` shows the whole scene from above, ``"chase"`` follows the robot.
         **kwargs: see :class:`BatchedMujocoEnv`.
@@ -104,7 +104,7 @@ class NavigationEnv(BatchedMujocoEnv):
         num_rays: int = 720,
         max_range: float = 4.0,
         repeat_failed: float = 0.0,
-        perturbation: Perturbation | Mapping[str, Any] | None = None,
+        faults: Faults | Mapping[str, Any] | None = None,
         max_episode_steps: int = 300,
         camera: str | Camera = "top",
         **kwargs: Any,
@@ -122,7 +122,7 @@ class NavigationEnv(BatchedMujocoEnv):
         self.goal_radius = goal_radius
         self.num_rays = num_rays
         self.max_range = max_range
-        self.perturbation = get_perturbation(perturbation)
+        self.faults = get_faults(faults)
         self.repeat_failed = repeat_failed
         # Faults draw from their own generator, so that switching them on leaves scenes unchanged.
         self._fault_rng = torch.Generator()
@@ -165,7 +165,7 @@ class NavigationEnv(BatchedMujocoEnv):
 
     @property
     def _has_range_faults(self) -> bool:
-        return bool(self.perturbation.most["range_noise"] or self.perturbation.most["dropout"])
+        return bool(self.faults.most["range_noise"] or self.faults.most["dropout"])
 
     def __getstate__(self) -> dict[str, Any]:
         state = super().__getstate__()
@@ -208,9 +208,9 @@ class NavigationEnv(BatchedMujocoEnv):
         )
         if self.snapshots:
             spec["scene"] = scene
-            if self.perturbation.most["latency"]:
+            if self.faults.most["latency"]:
                 spec["pending_action"] = Unbounded(shape=(n, 2), dtype=torch.float64)
-            if self.perturbation.is_random:
+            if self.faults.is_random:
                 spec["faults"] = Unbounded(shape=(n, 4), dtype=torch.float64)
         self._task = NavigationTask(
             n,
@@ -219,7 +219,7 @@ class NavigationEnv(BatchedMujocoEnv):
             goal_radius=self.goal_radius,
         )
         self._pending = torch.zeros(n, 2, dtype=torch.float64)
-        self._faults = self.perturbation.draw(n, torch.Generator())
+        self._faults = self.faults.draw(n, torch.Generator())
         # Where robot and human were at the start: pictures show it.
         self._began = np.zeros((n, 2, 2))
         return spec
@@ -244,8 +244,8 @@ class NavigationEnv(BatchedMujocoEnv):
         self._task.human_goal[rows] = sampled["human_goal"]
         self._task.boxes[rows] = sampled["boxes"]
         self._pending.numpy()[rows] = 0.0
-        if self.perturbation.is_random:
-            self._faults[ids] = self.perturbation.draw(len(rows), self._fault_rng)
+        if self.faults.is_random:
+            self._faults[ids] = self.faults.draw(len(rows), self._fault_rng)
         qpos = pose_to_qpos(sampled["start"], self.drive, self.model.nq)
         return torch.from_numpy(qpos), torch.zeros(len(rows), self.model.nv, dtype=torch.float64)
 
@@ -260,9 +260,9 @@ class NavigationEnv(BatchedMujocoEnv):
             (("scene", "boxes"), self._task.boxes),
         ):
             values[rows] = tensordict.get(key).cpu().numpy()[rows]
-        if self.perturbation.most["latency"]:
+        if self.faults.most["latency"]:
             self._pending[ids] = tensordict.get("pending_action").cpu()[ids]
-        if self.perturbation.is_random:
+        if self.faults.is_random:
             self._faults[ids] = tensordict.get("faults").cpu()[ids]
 
     def _on_reset(self, ids: Tensor) -> None:
@@ -287,14 +287,12 @@ class NavigationEnv(BatchedMujocoEnv):
 
     def _prepare_ctrl(self, action: Tensor) -> Tensor:
         action = action.double()
-        if self.perturbation.most["latency"]:
+        if self.faults.most["latency"]:
             late, command = self._faults[:, 3:] > 0, action
             action = torch.where(late, self._pending, command)
             self._pending = command.clone()
         low, high = self._action_low, self._action_high
-        action = self.perturbation.disturb_velocity(
-            action, self._faults, low, high, self._fault_rng
-        )
+        action = self.faults.disturb_velocity(action, self._faults, low, high, self._fault_rng)
         velocity = action.numpy().clip(low.numpy(), high.numpy())
         return torch.from_numpy(velocity_to_ctrl(velocity, self.drive))
 
@@ -311,7 +309,15 @@ class NavigationEnv(BatchedMujocoEnv):
     def _compute_reward(
         self, state: PhysicsState, action: Tensor, next_state: PhysicsState
     ) -> Tensor:
-        reward = self._task.reward(state.qpos.numpy()[:, :2])
+        return self.reward_from(state.qpos[:, :2])
+
+    def reward_from(self, position: Tensor) -> Tensor:
+        """Reward ``[N, 3]`` of the step that led the robots to where they are; actions do not matter.
+
+        Args:
+            position: where they were before it, ``[N, 2]``, metres.
+        """
+        reward = self._task.reward(position.numpy())
         return torch.from_numpy(reward.astype(self._array_dtype, copy=False))
 
     # --- observation ---------------------------------------------------------------------------
@@ -344,9 +350,9 @@ class NavigationEnv(BatchedMujocoEnv):
                 {key: torch.from_numpy(values[rows].copy()) for key, values in scene.items()},
                 batch_size=[len(pose)],
             )
-            if self.perturbation.most["latency"]:
+            if self.faults.most["latency"]:
                 out["pending_action"] = self._pending[rows].clone()
-            if self.perturbation.is_random:
+            if self.faults.is_random:
                 out["faults"] = self._faults[rows].clone()
         return out
 
@@ -357,7 +363,7 @@ class NavigationEnv(BatchedMujocoEnv):
         ranges = self._lidar.cast(seen, cos, sin, task.boxes, task.radius, ids)
         if self._has_range_faults:
             amounts = self._faults if ids is None else self._faults[ids]
-            ranges = self.perturbation.disturb_ranges(
+            ranges = self.faults.disturb_ranges(
                 torch.from_numpy(ranges), amounts, self.max_range, self._fault_rng
             )
             ranges = ranges.clamp(MIN_RANGE, self.max_range).numpy()

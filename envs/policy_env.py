@@ -1,76 +1,19 @@
-"""What stands between the simulation and a policy: observation scaling and action bounds."""
+"""The navigation task as a policy sees it: features instead of sensors, and actions in [-1, 1]."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
-from torchrl.envs import (
-    ActionScaling,
-    CatTensors,
-    Compose,
-    ExcludeTransform,
-    TransformedEnv,
-    UnaryTransform,
-)
+from torchrl.envs import ExcludeTransform, TransformedEnv
 
-from torchrl_morl.transforms import (
-    CheckFinite,
-    LidarMinPool,
-    PolarFeatures,
-    PreferenceSampler,
-    RewardModelReward,
-    VelocityInFrame,
-)
+from torchrl_morl.deploy.features import observation_parts, policy_transforms
+from torchrl_morl.transforms import PreferenceSampler, RewardModelReward
 
 from .navigation import NavigationEnv
 
-NUM_SECTORS = 30
-GOAL_SCALE = 5.0
-HUMAN_SCALE = 2.0
-PARTS = {"lidar": NUM_SECTORS, "goal": 3, "human": 3, "human_velocity": 2}
-"""What the observation can have, in this order, and how many entries each part takes."""
-
-OBSERVATION_SIZE = PARTS["lidar"] + PARTS["goal"] + PARTS["human"]
-"""Entries of the observation, unless arguments of :func:`policy_transforms` change it."""
-
 _OBSERVED = ("observe_human", "observe_human_velocity")
-
-
-@dataclasses.dataclass(frozen=True)
-class LogRange:
-    """Maps ranges in metres to ``log(range / max_range) / 3``."""
-
-    max_range: float
-
-    def __call__(self, ranges: Tensor) -> Tensor:
-        """Ranges of any shape, at least a millimetre."""
-        return (ranges / self.max_range).clamp_min(1e-3 / self.max_range).log() / 3
-
-
-def observation_parts(
-    *, observe_human: bool = True, observe_human_velocity: bool = False
-) -> dict[str, range]:
-    """Where the parts of the observation of :func:`policy_transforms` lie.
-
-    Raises:
-        ValueError: for an argument that is neither true nor false, or for the velocity of a human
-            who is not observed.
-    """
-    optional = {"human": observe_human, "human_velocity": observe_human_velocity}
-    for name, value in optional.items():
-        if not isinstance(value, bool):
-            raise ValueError(f"observe_{name} must be true or false, got {value!r}.")
-    if observe_human_velocity and not observe_human:
-        raise ValueError("observe_human_velocity needs observe_human.")
-    parts, end = {}, 0
-    for name, size in PARTS.items():
-        if optional.get(name, True):
-            parts[name] = range(end, end := end + size)
-    return parts
 
 
 def observed(arguments: Mapping[str, Any]) -> dict[str, bool]:
@@ -86,61 +29,6 @@ def simulated(arguments: Mapping[str, Any]) -> dict[str, Any]:
 def observation_size(arguments: Mapping[str, Any]) -> int:
     """Entries of the observation under these arguments of :func:`make_policy_env`."""
     return sum(map(len, observation_parts(**observed(arguments)).values()))
-
-
-def policy_transforms(
-    max_range: float = 4.0, *, observe_human: bool = True, observe_human_velocity: bool = False
-) -> Compose:
-    """Transforms that build the policy's ``observation`` ``[*B, 36]`` and scale its action.
-
-    ==========  =====================================================================
-    entries     meaning
-    ==========  =====================================================================
-    0 to 29     ``log(lidar / max_range) / 3`` of each 12 degree sector: 0 is no return, -1 is 0.2 m.
-                The logarithm keeps centimetres apart where they matter
-    30 to 32    goal: distance / 5 m, sine and cosine of its bearing
-    33 to 35    human: distance / 2 m, sine and cosine of its bearing
-    ==========  =====================================================================
-
-    The policy's ``action`` is in [-1, 1]; the environment gets it in m/s and rad/s. A sensor value
-    that is not finite raises ``ValueError``.
-
-    Args:
-        max_range: of the lidar, metres.
-
-    Keyword Args:
-        observe_human: without it the observation ends with the goal, ``[*B, 33]``; the lidar still
-            sees the human, as an obstacle like any other.
-        observe_human_velocity: two more entries, 36 and 37: the human's velocity over the ground in
-            the last step, ahead and to the left, m/s.
-
-    Raises:
-        ValueError: see :func:`observation_parts`.
-    """
-    parts = observation_parts(
-        observe_human=observe_human, observe_human_velocity=observe_human_velocity
-    )
-    scales = {"goal": GOAL_SCALE} | ({"human": HUMAN_SCALE} if observe_human else {})
-    return Compose(
-        ActionScaling(),
-        # First, so that an error names the sensor and the ray.
-        CheckFinite(["scan", *scales]),
-        LidarMinPool(NUM_SECTORS),
-        UnaryTransform(in_keys=["lidar"], out_keys=["lidar_features"], fn=LogRange(max_range)),
-        PolarFeatures(
-            in_keys=list(scales),
-            out_keys=[f"{name}_features" for name in scales],
-            scale=list(scales.values()),
-        ),
-        # Metres per second are of order one as they are.
-        *([VelocityInFrame(period=NavigationEnv.CONTROL_PERIOD)] if observe_human_velocity else []),
-        CatTensors(
-            in_keys=["human_velocity" if p == "human_velocity" else f"{p}_features" for p in parts],
-            out_key="observation",
-            dim=-1,
-            sort=False,
-        ),
-    )
 
 
 def make_policy_env(
@@ -174,6 +62,7 @@ def make_policy_env(
     base = NavigationEnv(snapshots=keep_simulation, **kwargs)
     transforms = policy_transforms(
         base.max_range,
+        period=base.CONTROL_PERIOD,
         observe_human=observe_human,
         observe_human_velocity=observe_human_velocity,
     )

@@ -20,7 +20,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from .geometry import box_box_distance, point_box_distance, segment_box_distance
+from torchrl_morl.geometry import box_box_distance, point_box_distance, segment_box_distance
 
 HUMAN_RADIUS = 0.25
 """Radius of the cylinder that stands for the human, metres."""

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from torchrl_morl.deploy.features import GOAL_SCALE, observation_parts
+
 from .navigation import NavigationEnv
-from .policy_env import GOAL_SCALE, observation_parts
+from .navigation_task import GOAL_REWARD, STYLE_PENALTY
 from .robots import Robot, get_robot
-from .task import GOAL_REWARD, STYLE_PENALTY
 
 
 class StraightDriveValue(nn.Module):
@@ -40,7 +41,7 @@ class StraightDriveValue(nn.Module):
         goal_radius: of the task, metres.
 
     Shape:
-        ``observation`` ``[*B, D]`` of :func:`~envs.policy_env.policy_transforms` to ``[*B, K]``.
+        ``observation`` ``[*B, D]`` of :func:`~torchrl_morl.deploy.features.policy_transforms` to ``[*B, K]``.
 
     Raises:
         ValueError: for a ``gamma`` outside (0, 1].
@@ -49,7 +50,7 @@ class StraightDriveValue(nn.Module):
         Two metres before the goal, 0.1 m a step: 17 steps to its radius of 0.3 m.
 
         >>> import torch
-        >>> from envs.policy_env import OBSERVATION_SIZE
+        >>> from torchrl_morl.deploy.features import OBSERVATION_SIZE
         >>> observation = torch.zeros(OBSERVATION_SIZE)
         >>> observation[30] = 2.0 / 5.0
         >>> value = StraightDriveValue(("core", "demo", "distance", "efficiency"), gamma=1.0)

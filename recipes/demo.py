@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 import tqdm
 
-from envs.demonstrator import CircleDemonstrator
+from envs.demonstrations import CircleDemonstrator
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import steerability
 
@@ -34,21 +34,21 @@ def main() -> None:
     args = parser.parse_args()
 
     torch.set_num_threads(1)
-    actor, space, card = load_policy(args.policy)
+    actor, preference_space, card = load_policy(args.policy)
     demonstrator = None
     if "demonstrator" in card:
         demonstrator = CircleDemonstrator(**card["demonstrator"])
     args.output.mkdir(parents=True, exist_ok=True)
 
     # The rows of the paper: each trades two objectives off, the others have no weight.
-    edges = space.pairwise_grid(args.steps).unflatten(0, (-1, args.steps))
+    edges = preference_space.pairwise_grid(args.steps).unflatten(0, (-1, args.steps))
     rows = []
     print(f"{len(edges)} sweeps of {args.steps} preferences x {args.episodes} scenes")
     with tqdm.tqdm(total=len(edges) * args.steps, unit="preference") as progress:
         for preferences in edges:
             statistics = sweep(
                 actor,
-                space,
+                preference_space,
                 preferences,
                 episodes=args.episodes,
                 seed=args.seed,
@@ -60,7 +60,7 @@ def main() -> None:
             )
             showcase = sweep(
                 actor,
-                space,
+                preference_space,
                 preferences,
                 episodes=1,
                 seed=0,
@@ -69,7 +69,7 @@ def main() -> None:
                 demonstrator=demonstrator,
                 **observed_by(card),
             )
-            first, second = (space.tunable[preferences[i].argmax()] for i in (0, -1))
+            first, second = (preference_space.tunable[preferences[i].argmax()] for i in (0, -1))
             rows.append(Row(first, second, showcase, statistics))
     for row in rows:
         print(f"\nfrom {row.first} to {row.second}")
@@ -80,8 +80,8 @@ def main() -> None:
     sweep_figure(figure, rows, goal_radius=GOAL_RADIUS)
     change = switch(
         actor,
-        space,
-        edge(space, "efficiency", "distance", 2),
+        preference_space,
+        edge(preference_space, "efficiency", "distance", 2),
         goal_radius=GOAL_RADIUS,
         **observed_by(card),
     )
@@ -103,7 +103,13 @@ def main() -> None:
             f"{changed}one second later the robot heads {change.turned:.0f} degrees elsewhere, "
             f"{change.separation:.2f} m off the old path"
         )
-    movie = film(args.output / "sweep.gif", actor, space, space.corners(), **observed_by(card))
+    movie = film(
+        args.output / "sweep.gif",
+        actor,
+        preference_space,
+        preference_space.corners(),
+        **observed_by(card),
+    )
     print(f"Pictures: {figure}, {switched}; film: {movie}")
 
 
@@ -113,7 +119,7 @@ def steered(row: Row) -> str:
     steers = {"distance": "min_human_distance", "efficiency": "time", "demo": "frechet"}
     for name in (row.first, row.second):
         metric = steers[name]
-        weight = row.statistics.preferences[:, row.statistics.space.tunable.index(name)]
+        weight = row.statistics.preferences[:, row.statistics.preference_space.tunable.index(name)]
         rho = steerability(weight, row.statistics.mean(metric))
         parts.append(f"{name} -> {metric}: {rho:+.2f}")
     return "Spearman rho of weight and mean metric: " + ", ".join(parts)

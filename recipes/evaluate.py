@@ -17,8 +17,8 @@ import torch
 import tqdm
 from torch import Tensor
 
-from envs import ROBOTS, SCENES, Perturbation
-from envs.demonstrator import CircleDemonstrator
+from envs import ROBOTS, SCENES, Faults
+from envs.demonstrations import CircleDemonstrator
 from envs.mjcf import Drive
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
@@ -26,7 +26,7 @@ from torchrl_morl.preferences import PreferenceSpace
 from .sweep import GOAL_RADIUS, SHIPPED_POLICY, edge, observed_by, sweep
 
 
-def parse_preferences(texts: list[str], space: PreferenceSpace) -> Tensor:
+def parse_preferences(texts: list[str], preference_space: PreferenceSpace) -> Tensor:
     """Preferences ``[P, T]`` written as ``0.5,0.5``.
 
     Raises:
@@ -35,7 +35,7 @@ def parse_preferences(texts: list[str], space: PreferenceSpace) -> Tensor:
     rows = []
     for text in texts:
         try:
-            rows.append(space.validate([float(value) for value in text.split(",")]))
+            rows.append(preference_space.validate([float(value) for value in text.split(",")]))
         except ValueError as error:
             raise ValueError(f"--preferences {text}: {error}") from error
     return torch.stack(rows)
@@ -70,19 +70,17 @@ def main() -> None:
 
     torch.set_num_threads(1)
     try:
-        actor, space, card = load_policy(args.policy)
+        actor, preference_space, card = load_policy(args.policy)
         demonstrator = None
         if "demonstrator" in card:
             demonstrator = CircleDemonstrator(**card["demonstrator"] | {"robot": args.robot})
         if args.preferences:
-            preferences = parse_preferences(args.preferences, space)
+            preferences = parse_preferences(args.preferences, preference_space)
         elif args.grid:
-            preferences = space.pairwise_grid(11)
+            preferences = preference_space.pairwise_grid(11)
         else:
-            preferences = edge(space, "efficiency", "distance")
-        perturbation = Perturbation(
-            args.range_noise, args.dropout, args.velocity_noise, args.latency
-        )
+            preferences = edge(preference_space, "efficiency", "distance")
+        faults = Faults(args.range_noise, args.dropout, args.velocity_noise, args.latency)
         if args.episodes < 1:
             raise ValueError(f"--episodes must be at least 1, got {args.episodes}.")
     except (OSError, ValueError) as error:
@@ -90,7 +88,7 @@ def main() -> None:
     with tqdm.tqdm(total=len(preferences), unit="preference") as progress:
         result = sweep(
             actor,
-            space,
+            preference_space,
             preferences,
             episodes=args.episodes,
             seed=args.seed,
@@ -98,7 +96,7 @@ def main() -> None:
             robot=args.robot,
             drive=args.drive,
             goal_radius=GOAL_RADIUS,
-            perturbation=perturbation,
+            faults=faults,
             demonstrator=demonstrator,
             on_preference=lambda _: progress.update(),
             **observed_by(card),
@@ -112,7 +110,7 @@ def main() -> None:
         f"collisions {100 * collisions.float().mean():.2f} %, "
         f"timeouts {100 * metrics['timeout'].float().mean():.2f} %"
     )
-    fastest = preferences[:, space.tunable.index("efficiency")].argmax()
+    fastest = preferences[:, preference_space.tunable.index("efficiency")].argmax()
     solved = metrics["success"][fastest]
     time = metrics["time"][fastest][solved].mean()
     bound = ((metrics["direct_distance"][fastest] - GOAL_RADIUS) / 0.5)[solved].mean()

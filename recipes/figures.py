@@ -63,7 +63,9 @@ def sweep_figure(path: Path, rows: list[Row], *, goal_radius: float) -> None:
         squeeze=False,
     )
     for line, row in zip(axes, rows, strict=True):
-        share = row.statistics.preferences[:, row.statistics.space.tunable.index(row.second)]
+        share = row.statistics.preferences[
+            :, row.statistics.preference_space.tunable.index(row.second)
+        ]
         for ax, result, index in ((line[0], row.showcase, 0), (line[1], row.statistics, 0)):
             _scene(ax, result.scenes[index], goal_radius)
             draw_paths(

@@ -46,11 +46,18 @@ def main() -> None:
         parser.error(f"{args.output} exists and is not overwritten: choose another name.")
     torch.set_num_threads(1)
     try:
-        actor, space, card = load_policy(args.policy)
+        actor, preference_space, card = load_policy(args.policy)
     except (OSError, ValueError) as error:
         parser.error(str(error))
     where = {"scene": args.scene, "robot": args.robot, "seed": args.seed}
-    movie = film(args.output, actor, space, space.corners(), **where, **observed_by(card))
+    movie = film(
+        args.output,
+        actor,
+        preference_space,
+        preference_space.corners(),
+        **where,
+        **observed_by(card),
+    )
     print(f"film: {movie}")
 
 
@@ -58,7 +65,7 @@ def main() -> None:
 def film(
     path: Path,
     actor: TensorDictModule,
-    space: PreferenceSpace,
+    preference_space: PreferenceSpace,
     preferences: Tensor,
     *,
     scene: str = "showcase",
@@ -75,7 +82,7 @@ def film(
     arguments are those of :func:`envs.policy_env.make_policy_env`.
     """
     env = make_policy_env(
-        PreferenceSampler(space),
+        PreferenceSampler(preference_space),
         num_envs=1,
         scene=scene,
         seed=seed,
@@ -98,7 +105,7 @@ def film(
                         width=size[0],
                         height=size[1],
                         preference=preference,
-                        names=space.tunable,
+                        names=preference_space.tunable,
                         trails=[*trails, (torch.stack(trail), color[:3])],
                     )[0]
                 )

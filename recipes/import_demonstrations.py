@@ -12,8 +12,8 @@ from pathlib import Path
 import torch
 
 from envs import ROBOTS
-from envs.feasibility import Tolerances
-from envs.import_demonstrations import import_demonstrations
+from envs.demonstrations.feasibility import Tolerances
+from envs.demonstrations.importer import import_demonstrations
 from torchrl_morl.data import save_demonstrations
 
 

@@ -24,10 +24,10 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from envs import NavigationEnv
-from envs.demonstrator import CircleDemonstrator, Driver, StraightDriver
-from envs.geometry import box_corners, wrap_angle
+from envs.demonstrations import CircleDemonstrator, Driver, StraightDriver
 from envs.robots import TURTLEBOT2, Robot, get_robot
 from envs.scenes import HUMAN_RADIUS
+from torchrl_morl.geometry import box_corners, wrap_angle
 
 _has_pyrvo = importlib.util.find_spec("pyrvo") is not None
 

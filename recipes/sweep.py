@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from envs.demonstrator import CircleDemonstrator, demonstrated_paths
+from envs.demonstrations import CircleDemonstrator, demonstrated_paths
 from envs.metrics import episode_metrics, trajectories
 from envs.policy_env import make_policy_env, observed, simulated
 from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
@@ -27,7 +27,7 @@ GOAL_RADIUS = 0.3
 class Sweep:
     """What a policy did under ``P`` preferences in the same ``N`` scenes."""
 
-    space: PreferenceSpace
+    preference_space: PreferenceSpace
     preferences: Tensor
     """``[P, T]``"""
     metrics: TensorDict
@@ -37,7 +37,7 @@ class Sweep:
     scenes: TensorDictBase
     """``[N]``, ``start`` [N, 3], ``goal``, ``human`` [N, 3] and ``boxes``."""
     demonstration: TensorDictBase | None = None
-    """``[N]``, see :func:`envs.demonstrator.demonstrated_paths`; ``None`` without a demonstrator.
+    """``[N]``, see :func:`envs.demonstrations.demonstrated_paths`; ``None`` without a demonstrator.
     Then ``metrics`` has ``frechet``, the distance to it in metres."""
 
     def mean(self, name: str) -> Tensor:
@@ -46,7 +46,7 @@ class Sweep:
 
     def table(self) -> str:
         """One line per preference; means of quantities that need success come with their n."""
-        names = "  ".join(f"{name[:10]:>10}" for name in self.space.tunable)
+        names = "  ".join(f"{name[:10]:>10}" for name in self.preference_space.tunable)
         lines = [
             f"{names}  {'success':>8}  {'hit human':>9}  {'hit box':>8}  {'timeout':>8}"
             f"  {'time (n)':>14}  {'min. distance to human (n)':>26}"
@@ -85,7 +85,7 @@ def observed_by(card: Mapping[str, Any]) -> dict[str, bool]:
 
 def sweep(
     actor: TensorDictModule,
-    space: PreferenceSpace,
+    preference_space: PreferenceSpace,
     preferences: Tensor,
     *,
     episodes: int,
@@ -99,7 +99,7 @@ def sweep(
 
     Args:
         actor: the policy.
-        space: of its preferences.
+        preference_space: of its preferences.
         preferences: ``[P, T]``.
 
     Keyword Args:
@@ -114,9 +114,9 @@ def sweep(
     Raises:
         ValueError: for preferences off the simplex, and whatever the environment refuses.
     """
-    preferences = space.validate(preferences)
+    preferences = preference_space.validate(preferences)
     env = make_policy_env(
-        PreferenceSampler(space),
+        PreferenceSampler(preference_space),
         keep_simulation=True,
         num_envs=episodes,
         seed=seed,
@@ -152,7 +152,7 @@ def sweep(
             paths["position"], paths["mask"], demonstration["position"], demonstration["mask"]
         )
     return Sweep(
-        space=space,
+        preference_space=preference_space,
         preferences=preferences,
         metrics=metrics,
         paths=paths,
@@ -169,17 +169,17 @@ def sweep(
     )
 
 
-def edge(space: PreferenceSpace, first: str, second: str, steps: int = 11) -> Tensor:
+def edge(preference_space: PreferenceSpace, first: str, second: str, steps: int = 11) -> Tensor:
     """Preferences from ``first`` alone to ``second`` alone, ``[steps, T]``.
 
     Raises:
         ValueError: if a name is not a tunable objective.
     """
     for name in (first, second):
-        if name not in space.tunable:
-            raise ValueError(f"{name!r} is not tunable: choose among {space.tunable}.")
-    preferences = torch.zeros(steps, space.num_tunable)
+        if name not in preference_space.tunable:
+            raise ValueError(f"{name!r} is not tunable: choose among {preference_space.tunable}.")
+    preferences = torch.zeros(steps, preference_space.num_tunable)
     share = torch.linspace(0, 1, steps)
-    preferences[:, space.tunable.index(first)] = 1 - share
-    preferences[:, space.tunable.index(second)] = share
+    preferences[:, preference_space.tunable.index(first)] = 1 - share
+    preferences[:, preference_space.tunable.index(second)] = share
     return preferences

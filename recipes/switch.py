@@ -12,10 +12,10 @@ from torch import Tensor
 from torchrl.envs import step_mdp
 
 from envs import NavigationEnv
-from envs.geometry import wrap_angle
 from envs.metrics import trajectories
 from envs.policy_env import make_policy_env
 from torchrl_morl.evaluation import episode_mask
+from torchrl_morl.geometry import wrap_angle
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
 
@@ -56,7 +56,7 @@ class Switch:
 @torch.no_grad()
 def switch(
     actor: TensorDictModule,
-    space: PreferenceSpace,
+    preference_space: PreferenceSpace,
     preferences: Tensor,
     *,
     switch_step: int = 28,
@@ -71,7 +71,7 @@ def switch(
     Other arguments are those of :func:`envs.policy_env.make_policy_env`.
     """
     env = make_policy_env(
-        PreferenceSampler(space),
+        PreferenceSampler(preference_space),
         keep_simulation=True,
         num_envs=3,
         scene=scene,

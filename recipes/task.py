@@ -25,7 +25,7 @@ class Task:
 
     run_dir: Path
     device: torch.device
-    space: PreferenceSpace
+    preference_space: PreferenceSpace
     env: EnvBase
     eval_env: EnvBase
     reward_model: RewardModel | None
@@ -51,13 +51,13 @@ def make_task(cfg: DictConfig) -> Task:
         raise ValueError(f"loss.gamma must be in (0, 1], got {cfg.loss.gamma}.")
     demo = utils.load_demonstration_objective(cfg)
     reward_model, demo_card = demo if demo else (None, None)
-    space = utils.make_preference_space(with_demonstrations=demo is not None)
+    preference_space = utils.make_preference_space(with_demonstrations=demo is not None)
     return Task(
         run_dir=run_dir,
         device=torch.device(cfg.device),
-        space=space,
-        env=utils.make_train_env(cfg, space, reward_model),
-        eval_env=utils.make_eval_env(cfg, space, reward_model),
+        preference_space=preference_space,
+        env=utils.make_train_env(cfg, preference_space, reward_model),
+        eval_env=utils.make_eval_env(cfg, preference_space, reward_model),
         reward_model=reward_model,
         demo_card=demo_card,
         demonstration=evaluation.demonstrated(cfg, demo_card) if demo else None,

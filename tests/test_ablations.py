@@ -13,8 +13,8 @@ from omegaconf import DictConfig
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
-from envs.demonstrator import CircleDemonstrator
-from envs.policy_env import OBSERVATION_SIZE, make_policy_env, observation_size
+from envs.demonstrations import CircleDemonstrator
+from envs.policy_env import make_policy_env, observation_size
 from envs.straight_drive import StraightDriveValue
 from recipes.drex import drex, ranking, report
 from recipes.drex import utils as drex_utils
@@ -22,8 +22,10 @@ from recipes.pd_morl import pd_morl
 from recipes.pd_morl import utils as pd_morl_utils
 from recipes.sweep import observed_by, sweep
 from tests._drex import TINY, config
+from torchrl_morl import PreferenceSegments
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.deploy import load_policy, load_reward_model
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.objectives import MOTD3Loss
 
@@ -141,15 +143,20 @@ def test_both_ablations_from_demonstrations_to_an_evaluated_policy(tmp_path, mon
     )
     folder = morl(tmp_path / "run", *demonstrations, WITHOUT_HUMAN)
     for policy in (folder / "policies" / "000000384", distilled / "behaviour_clone"):
-        actor, space, card = load_policy(policy)
-        assert space.tunable == ("demo", "distance", "efficiency")
+        actor, preference_space, card = load_policy(policy)
+        assert preference_space.tunable == ("demo", "distance", "efficiency")
         assert actor[0].module[0].in_features == 33 + 3
         assert observed_by(card)["observe_human"] is False
         assert card["demonstrator"]["radius"] == 1.0
         kwargs = {"episodes": 2, "seed": 0, "max_episode_steps": 5, "num_threads": 1}
         demonstrator = CircleDemonstrator(**card["demonstrator"])
         result = sweep(
-            actor, space, space.corners(), demonstrator=demonstrator, **kwargs, **observed_by(card)
+            actor,
+            preference_space,
+            preference_space.corners(),
+            demonstrator=demonstrator,
+            **kwargs,
+            **observed_by(card),
         )
         assert result.metrics["frechet"].isfinite().all()
 
@@ -159,7 +166,7 @@ def test_both_ablations_from_demonstrations_to_an_evaluated_policy(tmp_path, mon
     assert not list((tmp_path / "refused").iterdir())
     other = config("pd_morl", (f"demonstrations.dataset={dataset}",))
     with pytest.raises(ValueError, match=r"demonstrations\.safetensors is about observations"):
-        pd_morl_utils.prefill(other, None, space, model)
+        pd_morl_utils.prefill(other, None, preference_space, model)
 
 
 def test_the_saved_clone_does_what_the_clone_does_under_every_preference(tmp_path):
@@ -172,10 +179,10 @@ def test_the_saved_clone_does_what_the_clone_does_under_every_preference(tmp_pat
     )
     clone, _ = drex_utils.clone_behaviour(cfg, data)
     drex_utils.save_clone(tmp_path, cfg, clone, {"note": 1})
-    actor, space, card = load_policy(tmp_path)
+    actor, preference_space, card = load_policy(tmp_path)
     assert card["note"] == 1
     expected = clone(data.select("observation"))["action"]
-    for preference in space.corners():
+    for preference in preference_space.corners():
         given = data.select("observation").set("preference", preference.expand(4, 10, 3))
         torch.testing.assert_close(actor(given)["action"], expected)
 
@@ -204,10 +211,10 @@ VARIANTS = {
         "env.observe_human_velocity=true",
     ),
     "random faults": (
-        "env.perturbation.range_noise=[0,0.05]",
-        "env.perturbation.dropout=[0,0.1]",
-        "env.perturbation.velocity_noise=[0,0.05]",
-        "env.perturbation.latency=[0,1]",
+        "env.faults.range_noise=[0,0.05]",
+        "env.faults.dropout=[0,0.1]",
+        "env.faults.velocity_noise=[0,0.05]",
+        "env.faults.latency=[0,1]",
         "env.robot=hsr",
     ),
 }
@@ -216,10 +223,15 @@ VARIANTS = {
 @pytest.mark.parametrize("name", VARIANTS)
 def test_variant_trains_and_is_evaluated_elsewhere(name, tmp_path):
     folder = morl(tmp_path / "run", *VARIANTS[name])
-    actor, space, card = load_policy(folder / "policies" / "000000384")
+    actor, preference_space, card = load_policy(folder / "policies" / "000000384")
     kwargs = {"episodes": 2, "seed": 0, "max_episode_steps": 5, "num_threads": 1}
     result = sweep(
-        actor, space, space.corners(), scene="moving_human", **kwargs, **observed_by(card)
+        actor,
+        preference_space,
+        preference_space.corners(),
+        scene="moving_human",
+        **kwargs,
+        **observed_by(card),
     )
     assert result.metrics.shape == (2, 2)
 
@@ -228,9 +240,9 @@ def test_variant_trains_and_is_evaluated_elsewhere(name, tmp_path):
 
 INGREDIENTS = {
     "angle off": ("loss.angle=null", "loss.angle_coeff_actor=0"),
-    "official angle": ("loss.angle=official", "loss.angle_coeff_actor=1.75e-3"),
+    "official angle": ("loss.angle=raw", "loss.angle_coeff_actor=1.75e-3"),
     "official angle, raw preference": (
-        "loss.angle=official",
+        "loss.angle=raw",
         "loss.angle_coeff_actor=1.75e-3",
         "loss.interpolated=false",
     ),
@@ -258,10 +270,10 @@ def test_ingredient_of_pd_morl_trains(name, tmp_path):
 
 def loss_of(*overrides: str) -> MOTD3Loss:
     cfg = config("pd_morl", (*TRAINING, *overrides))
-    space = pd_morl_utils.make_preference_space(with_demonstrations=False)
-    env = pd_morl_utils.make_eval_env(cfg, space, None)
-    actor, _ = pd_morl_utils.make_policy(cfg, env, space, torch.device("cpu"))
-    return pd_morl_utils.make_loss(cfg, env, space, actor, torch.device("cpu"))
+    preference_space = pd_morl_utils.make_preference_space(with_demonstrations=False)
+    env = pd_morl_utils.make_eval_env(cfg, preference_space, None)
+    actor, _ = pd_morl_utils.make_policy(cfg, env, preference_space, torch.device("cpu"))
+    return pd_morl_utils.make_loss(cfg, env, preference_space, actor, torch.device("cpu"))
 
 
 def test_critics_add_what_straight_driving_is_worth():
@@ -311,17 +323,17 @@ def test_angle_off_needs_coefficients_of_zero(tmp_path):
 
 
 def test_segments_and_relabelling_follow_their_overrides():
-    space = pd_morl_utils.make_preference_space(with_demonstrations=True)
+    preference_space = pd_morl_utils.make_preference_space(with_demonstrations=True)
     thirds = torch.arange(30) % 3
     for count, kept in ((3, True), (1, False)):
         cfg = config("pd_morl", (f"preference.num_segments={count}", "env.num_envs=30"))
-        drawn = pd_morl_utils.make_train_env(cfg, space, None).reset()["preference"]
-        assert torch.equal(space.segments(3).index(drawn), thirds) == kept
-    preference = space.sample(4)
+        drawn = pd_morl_utils.make_train_env(cfg, preference_space, None).reset()["preference"]
+        assert torch.equal(PreferenceSegments(preference_space, 3).index(drawn), thirds) == kept
+    preference = preference_space.sample(4)
     given = {tuple(row) for row in preference.tolist()}
     for ratio in (0, 1):
         cfg = config("pd_morl", (f"preference.relabel_ratio={ratio}",))
-        buffer = pd_morl_utils.make_replay_buffer(cfg, space, torch.device("cpu"))
+        buffer = pd_morl_utils.make_replay_buffer(cfg, preference_space, torch.device("cpu"))
         later = TensorDict(preference=preference, reward=torch.ones(4, 4), batch_size=4)
         buffer.extend(TensorDict(preference=preference, next=later, batch_size=4).clone())
         sampled = {tuple(row) for row in buffer.sample()["preference"].tolist()}

@@ -10,7 +10,7 @@ import torch
 from torchrl.envs import StepCounter, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from envs import Perturbation
+from envs import Faults
 from envs.mjcf import navigation_mjcf
 from tests._batched_mujoco import Swing, assert_same, follow, make_env, random_actions
 
@@ -106,7 +106,7 @@ def test_a_partial_reset_leaves_the_other_rows_alone(shape, drive):
 
 def test_a_row_that_is_reset_carries_nothing_over():
     # The same scene must unfold the same way after another episode in the same row.
-    env = make_env(num_envs=2, drive="wheels", perturbation=Perturbation(latency=1))
+    env = make_env(num_envs=2, drive="wheels", faults=Faults(latency=1))
     start = env.reset()
     actions = random_actions(env, 8)
     first = follow(env, start.clone(), actions)
@@ -128,8 +128,8 @@ def test_an_empty_mask_resets_nothing():
 @pytest.mark.parametrize("scene", ["static", "moving_human", "empty"])
 def test_any_row_of_a_rollout_is_a_snapshot(scene, wrap, drive, latency):
     def make(seed):
-        perturbation = Perturbation(latency=latency)
-        env = make_env(num_envs=3, scene=scene, drive=drive, seed=seed, perturbation=perturbation)
+        faults = Faults(latency=latency)
+        env = make_env(num_envs=3, scene=scene, drive=drive, seed=seed, faults=faults)
         return TransformedEnv(env, StepCounter()) if wrap else env
 
     env = make(0)
@@ -196,14 +196,14 @@ def test_an_incomplete_snapshot_is_refused():
 
 
 def test_without_snapshots_the_simulator_state_is_neither_observed_nor_settable():
-    env = make_env(num_envs=2, snapshots=False, perturbation=Perturbation(latency=1))
+    env = make_env(num_envs=2, snapshots=False, faults=Faults(latency=1))
     check_env_specs(env)
     env.set_seed(0)
     start = env.reset()
     assert not {"qpos", "qvel", "scene", "elapsed", "pending_action"} & set(start.keys())
     with pytest.raises(NotImplementedError, match="set_state"):
         env.reset(start, set_state=True)
-    full = make_env(num_envs=2, perturbation=Perturbation(latency=1))
+    full = make_env(num_envs=2, faults=Faults(latency=1))
     actions = random_actions(env, 5)
     lean, rich = follow(env, start, actions), follow(full, full.reset(), actions)
     assert_same(lean, [step.select(*lean[0].keys()) for step in rich])

@@ -12,7 +12,7 @@ from torchrl.collectors import Collector, MultiSyncCollector
 from torchrl.envs import ParallelEnv, SerialEnv
 from torchrl.envs.utils import check_env_specs
 
-from envs import ROBOTS, SCENES, NavigationEnv, Perturbation
+from envs import ROBOTS, SCENES, Faults, NavigationEnv
 from tests._batched_mujoco import Swing, assert_same, follow, make_env, random_actions
 
 
@@ -31,7 +31,7 @@ def test_specs(scene, robot, drive):
         {"num_envs": 1},
         {"dtype": torch.float64},
         {"device": "cpu"},
-        {"perturbation": Perturbation(range_noise=0.1, dropout=0.1, velocity_noise=0.1, latency=1)},
+        {"faults": Faults(range_noise=0.1, dropout=0.1, velocity_noise=0.1, latency=1)},
     ],
     ids=lambda kwargs: next(iter(kwargs)),
 )
@@ -57,8 +57,8 @@ def test_everything_observed_is_on_the_device(device):
 
 
 def test_a_seed_fixes_everything_and_seeds_differ():
-    fault = Perturbation(range_noise=0.05, velocity_noise=0.05)
-    envs = [make_env(num_envs=3, seed=seed, perturbation=fault) for seed in (5, 5, 6)]
+    fault = Faults(range_noise=0.05, velocity_noise=0.05)
+    envs = [make_env(num_envs=3, seed=seed, faults=fault) for seed in (5, 5, 6)]
     actions = random_actions(envs[0], 5)
     first, again, other = ([env.reset(), *follow(env, env.reset(), actions)] for env in envs)
     assert_same(first, again)
@@ -86,8 +86,8 @@ def test_threads_of_torch_are_left_alone():
 
 @pytest.mark.parametrize("drive", ["planar", "wheels"])
 def test_pickling_continues_bit_for_bit(drive):
-    fault = Perturbation(range_noise=0.05, dropout=0.1, velocity_noise=0.05, latency=1)
-    env = make_env(num_envs=3, scene="moving_human", drive=drive, perturbation=fault)
+    fault = Faults(range_noise=0.05, dropout=0.1, velocity_noise=0.05, latency=1)
+    env = make_env(num_envs=3, scene="moving_human", drive=drive, faults=fault)
     actions = random_actions(env, 12)
     current = follow(env, env.reset(), actions[:6])[-1]
     copy = pickle.loads(pickle.dumps(env))

@@ -10,11 +10,11 @@ import pytest
 import torch
 from torchrl.data import Bounded
 
-from envs.policy_env import OBSERVATION_SIZE
 from recipes import film
 from tests._command import run
 from tests._sweeps import DEMO_SPACE, is_png, needs_gl
 from torchrl_morl.deploy import save_policy
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import make_actor
 
 
@@ -22,10 +22,10 @@ from torchrl_morl.modules import make_actor
 def policy(tmp_path_factory) -> Path:
     """Drives ahead at full speed, into the human of the showcase."""
     torch.manual_seed(0)
-    space, cells = DEMO_SPACE, (8,)
+    preference_space, cells = DEMO_SPACE, (8,)
     actor = make_actor(
         Bounded(-1.0, 1.0, (2,)),
-        in_features=OBSERVATION_SIZE + space.num_tunable,
+        in_features=OBSERVATION_SIZE + preference_space.num_tunable,
         num_cells=cells,
     )
     with torch.no_grad():
@@ -33,7 +33,7 @@ def policy(tmp_path_factory) -> Path:
     return save_policy(
         tmp_path_factory.mktemp("policies") / "tiny",
         actor,
-        space=space,
+        preference_space=preference_space,
         observation_size=OBSERVATION_SIZE,
         action_size=2,
         num_cells=cells,

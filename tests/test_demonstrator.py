@@ -11,14 +11,14 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import ActionScaling, TransformedEnv
 
 from envs import HSR, TURTLEBOT2, NavigationEnv
-from envs.demonstrator import (
+from envs.demonstrations import (
     CircleDemonstrator,
     DetourDriver,
     StraightDriver,
     demonstrated_paths,
 )
-from envs.geometry import rotate, wrap_angle
 from torchrl_morl.evaluation import episode_mask
+from torchrl_morl.geometry import rotate, wrap_angle
 
 make_env = functools.partial(
     NavigationEnv, scene="empty", num_threads=1, seed=0, dtype=torch.float64

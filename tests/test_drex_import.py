@@ -11,7 +11,7 @@ import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
-from envs.import_demonstrations import import_demonstrations
+from envs.demonstrations.importer import import_demonstrations
 from recipes.drex import ranking, styles, utils
 from tests._drex import config
 from torchrl_morl.modules import RewardModel

@@ -9,12 +9,13 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torchrl.envs.utils import check_env_specs
 
-from envs.policy_env import OBSERVATION_SIZE, make_policy_env
+from envs.policy_env import make_policy_env
 from recipes.drex import ranking, styles, utils
 from recipes.pd_morl import utils as pd_morl
 from tests._drex import TINY, config
 from torchrl_morl.data import RankedSnippets, save_demonstrations
 from torchrl_morl.deploy import load_reward_model
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.objectives import BradleyTerryLoss
 
@@ -153,7 +154,7 @@ def test_an_ensemble_has_as_many_members_as_asked_for(variant):
 
 def test_environment_and_replay_buffer_pay_the_same(variant, driven, tmp_path):
     _, model, _ = variant
-    space = pd_morl.make_preference_space(with_demonstrations=True)
+    preference_space = pd_morl.make_preference_space(with_demonstrations=True)
     env = make_policy_env(reward_model=model, scene="empty", num_envs=2, num_threads=1, seed=0)
     check_env_specs(env)
     data = env.rollout(5)
@@ -164,8 +165,8 @@ def test_environment_and_replay_buffer_pay_the_same(variant, driven, tmp_path):
     file = save_demonstrations(tmp_path / "demonstrations.safetensors", driven[0], {})
     cfg = config("pd_morl", demonstrations__dataset=str(file), demonstrations__prefill=2)
     cfg.replay_buffer.size = 1000
-    buffer = pd_morl.make_replay_buffer(cfg, space, torch.device("cpu"))
-    pd_morl.prefill(cfg, buffer, space, model)
+    buffer = pd_morl.make_replay_buffer(cfg, preference_space, torch.device("cpu"))
+    pd_morl.prefill(cfg, buffer, preference_space, model)
     score = model(driven[0][:2].select("observation", "action"))["demo_score"]
     expected = 10 * (score[driven[0][:2]["mask"]] - 1)
     torch.testing.assert_close(buffer.storage[:]["next", "reward"][:, 1:2], expected)

@@ -13,14 +13,15 @@ import torch
 from safetensors.torch import load_file
 from tensordict import TensorDict
 
-from envs.demonstrator import CircleDemonstrator
-from envs.policy_env import OBSERVATION_SIZE, make_policy_env
+from envs.demonstrations import CircleDemonstrator
+from envs.policy_env import make_policy_env
 from recipes.drex import drex, report, utils
 from recipes.pd_morl import utils as pd_morl
 from tests._command import run
 from tests._drex import TINY, config
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.deploy import load_policy, load_reward_model
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel
 
 PICTURES = ("degradation.png", "heat_map.png", "style_contrast.png")
@@ -305,8 +306,8 @@ def test_demonstrations_become_an_objective(distilled, tmp_path):
             assert int(float(step)) == 576
             assert math.isfinite(float(value))
     policy = folder / "policies" / "000000576"
-    _, space, card = load_policy(policy)
-    assert space.tunable == ("demo", "distance", "efficiency")
+    _, preference_space, card = load_policy(policy)
+    assert preference_space.tunable == ("demo", "distance", "efficiency")
     assert card["evaluation"]["preferences"] == list(corners)
     assert len(card["evaluation"]["frechet"]) == 4
     assert CircleDemonstrator(**card["demonstrator"]).radius == 1.0
@@ -317,9 +318,9 @@ def test_prefilled_demonstrations_are_experience_under_their_own_preference(dist
     path = distilled / "demonstrations.safetensors"
     cfg = config("pd_morl", demonstrations__dataset=str(path), demonstrations__prefill=4)
     cfg.replay_buffer.size = 2000
-    space = pd_morl.make_preference_space(with_demonstrations=True)
-    buffer = pd_morl.make_replay_buffer(cfg, space, torch.device("cpu"))
-    pd_morl.prefill(cfg, buffer, space, model)
+    preference_space = pd_morl.make_preference_space(with_demonstrations=True)
+    buffer = pd_morl.make_replay_buffer(cfg, preference_space, torch.device("cpu"))
+    pd_morl.prefill(cfg, buffer, preference_space, model)
     data, _ = load_demonstrations(path)
     data = data[:4][data[:4]["mask"]]
     assert len(buffer) == len(data)

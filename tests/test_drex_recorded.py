@@ -133,8 +133,8 @@ def test_a_policy_learns_from_recorded_drives(distilled, tmp_path):
     )
     assert "frechet" not in out
     (policy,) = (tmp_path / "run" / "policies").iterdir()
-    _, space, card = load_policy(policy)
-    assert space.tunable == ("demo", "distance", "efficiency")
+    _, preference_space, card = load_policy(policy)
+    assert preference_space.tunable == ("demo", "distance", "efficiency")
     assert "demonstrator" not in card
     table = printed(
         "recipes.evaluate", "--policy", policy, "--episodes", 1, "--preferences", "1,0,0"

@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from envs.demonstrator import CircleDemonstrator
+from envs.demonstrations import CircleDemonstrator
 from recipes.drex import styles
 from tests._drex import config
 

@@ -12,7 +12,7 @@ from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from envs import NavigationEnv
-from envs.demonstrator import StraightDriver
+from envs.demonstrations import StraightDriver
 from torchrl_morl.modules import HeldEGreedyModule
 
 SPEC = Bounded(-1.0, 1.0, (2,))

@@ -6,7 +6,7 @@ import imageio.v2 as imageio
 import pytest
 
 import recipes.figures
-from envs.demonstrator import CircleDemonstrator
+from envs.demonstrations import CircleDemonstrator
 from recipes.figures import Row, sweep_figure, switch_figure
 from recipes.film import film
 from recipes.sweep import edge, sweep
@@ -15,13 +15,13 @@ from tests._sweeps import BEND, DEMO_SPACE, SPACE, is_png, needs_gl
 from torchrl_morl import PreferenceSpace
 
 
-def row(space: PreferenceSpace, first: str, second: str, demonstrator=None) -> Row:
+def row(preference_space: PreferenceSpace, first: str, second: str, demonstrator=None) -> Row:
     kwargs = {"demonstrator": demonstrator, "num_threads": 1, "max_episode_steps": 120}
     results = [
         sweep(
             CircleDemonstrator(scaled=True),
-            space,
-            edge(space, first, second, 2),
+            preference_space,
+            edge(preference_space, first, second, 2),
             episodes=episodes,
             seed=3,
             scene=scene,

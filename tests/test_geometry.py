@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from envs.geometry import (
-    arctan2,
+from envs.geometry import arctan2, cos_sin, norm
+from torchrl_morl.geometry import (
     box_box_distance,
     box_corners,
-    cos_sin,
-    norm,
     point_box_distance,
     rotate,
     segment_box_distance,

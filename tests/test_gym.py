@@ -20,8 +20,8 @@ from torchrl.envs.utils import check_env_specs
 
 from envs import NavigationEnv
 from envs.gym import NavigationGymEnv
-from envs.policy_env import policy_transforms
 from torchrl_morl.deploy import save_reward_model
+from torchrl_morl.deploy.features import policy_transforms
 from torchrl_morl.modules import RewardModel
 
 IDS = {

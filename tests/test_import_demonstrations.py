@@ -15,15 +15,15 @@ import torch
 from tensordict import TensorDictBase
 
 from envs import HSR, HUMAN_RADIUS, TURTLEBOT2
-from envs.demonstrator import CircleDemonstrator
-from envs.feasibility import Tolerances, check, heading_from_motion, velocities
-from envs.geometry import wrap_angle
-from envs.import_demonstrations import import_demonstrations, replay
+from envs.demonstrations import CircleDemonstrator
+from envs.demonstrations.feasibility import Tolerances, check, heading_from_motion, velocities
+from envs.demonstrations.importer import import_demonstrations, replay
+from envs.demonstrations.recordings import BOX_COLUMNS, COLUMNS, Recording
 from envs.policy_env import make_policy_env
-from envs.recordings import BOX_COLUMNS, COLUMNS, Recording
 from recipes.drex.utils import rollouts
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.evaluation import episode_mask
+from torchrl_morl.geometry import wrap_angle
 
 ROOT = Path(__file__).resolve().parent.parent
 HEADER = ("trajectory", "time", "x", "y", "heading", *COLUMNS[3:])

@@ -20,7 +20,7 @@ def test_equals_the_scipy_interpolator(num_keys, num_tunable, space):
     keys = _simplex(num_keys, num_tunable)
     # What a policy trades: more weight, a smaller penalty. No key is then worst in everything.
     solutions = 300 * (keys - 1) - 20 * torch.rand(num_keys, num_tunable)
-    interpolator = PreferenceInterpolator(keys, space=space)
+    interpolator = PreferenceInterpolator(keys, value_space=space)
     interpolator.refit(solutions)
     points = solutions
     if space == "normalized":
@@ -36,7 +36,7 @@ def test_equals_the_scipy_interpolator(num_keys, num_tunable, space):
 
 def test_two_objectives_are_interpolated_linearly():
     # Known in closed form for two keys: a straight line between the unit vectors.
-    interpolator = PreferenceInterpolator(torch.eye(2), space="raw")
+    interpolator = PreferenceInterpolator(torch.eye(2), value_space="raw")
     interpolator.refit(torch.tensor([[3.0, 4.0], [0.0, 2.0]]))
     direction = interpolator(torch.tensor([0.25, 0.75]))
     expected = F.normalize(
@@ -94,7 +94,7 @@ def test_identity_keeps_the_direction_and_moves_the_space():
 
 
 def test_raw_space_never_normalises():
-    interpolator = PreferenceInterpolator(torch.eye(2), space="raw")
+    interpolator = PreferenceInterpolator(torch.eye(2), value_space="raw")
     interpolator.refit(torch.tensor([[-2.0, -9.0], [-6.0, -1.0]]))
     values = torch.randn(4, 2)
     assert torch.equal(interpolator.normalize(values), values)
@@ -212,7 +212,7 @@ def test_bad_keys(keys, message):
 
 def test_other_bad_arguments():
     with pytest.raises(ValueError, match="space must be one of"):
-        PreferenceInterpolator(torch.eye(2), space="unit")
+        PreferenceInterpolator(torch.eye(2), value_space="unit")
     interpolator = PreferenceInterpolator(torch.eye(3))
     with pytest.raises(ValueError, match="preference must have 3 entries"):
         interpolator(torch.ones(4, 1))

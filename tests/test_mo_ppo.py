@@ -13,11 +13,11 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.data import Bounded
 
 from envs import NavigationEnv
-from envs.policy_env import OBSERVATION_SIZE
 from recipes.mo_ppo import mo_ppo, utils
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_policy, save_reward_model
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel, make_actor
 
 SPACE = PreferenceSpace(NavigationEnv.objectives, static={"core": 1.0})
@@ -50,15 +50,15 @@ TINY = (
 )
 
 
-def small_policy(folder: Path, space: PreferenceSpace = SPACE) -> Path:
+def small_policy(folder: Path, preference_space: PreferenceSpace = SPACE) -> Path:
     torch.manual_seed(0)
     spec = Bounded(-1.0, 1.0, (2,))
-    size = OBSERVATION_SIZE + space.num_tunable
+    size = OBSERVATION_SIZE + preference_space.num_tunable
     actor = make_actor(spec, in_features=size, num_cells=(8,), last_layer_gain=1.0)
     return save_policy(
         folder,
         actor,
-        space=space,
+        preference_space=preference_space,
         observation_size=OBSERVATION_SIZE,
         action_size=2,
         num_cells=(8,),
@@ -82,8 +82,8 @@ def test_writes_policies_that_load(polished):
     start, folder = polished
     saved = sorted((folder / "policies").glob("*"))
     assert [path.name for path in saved] == ["000000064", "000000128"]
-    actor, space, card = load_policy(saved[-1])
-    assert space == SPACE
+    actor, preference_space, card = load_policy(saved[-1])
+    assert preference_space == SPACE
     assert card["start"]["config"] == CONFIG
     assert card["config"]["loss"]["lmbda"] == 0.8
     # What was null is what the policy was trained in, but for the scene: that of its evaluations.
@@ -336,12 +336,12 @@ def test_refuses_a_policy_of_other_objectives(tmp_path):
 
 def test_asks_for_what_the_card_does_not_tell(polished, tmp_path):
     start, _ = polished
-    actor, space, card = load_policy(start)
+    actor, preference_space, card = load_policy(start)
     del card["config"]["env"]["scene"], card["config"]["evaluation"]
     policy = save_policy(
         tmp_path / "policy",
         actor,
-        space=space,
+        preference_space=preference_space,
         observation_size=OBSERVATION_SIZE,
         action_size=2,
         num_cells=(8,),

@@ -153,7 +153,7 @@ def test_values_do_not_depend_on_how_many_environments_are_evaluated_at_once(mon
         observation=torch.randn(5, 8, 4), preference=SPACE.sample((5, 8)), batch_size=[5, 8]
     )
     data["next"] = following.auto_batch_size_(2)
-    task = SimpleNamespace(space=SPACE, device=torch.device("cpu"))
+    task = SimpleNamespace(preference_space=SPACE, device=torch.device("cpu"))
     results = []
     for number in (2, 5):
         monkeypatch.setattr(utils, "ENVS_AT_ONCE", number)

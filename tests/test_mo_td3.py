@@ -131,12 +131,12 @@ def test_losses_by_hand():
     assert out["saturated_fraction"] == 0.0
 
 
-@pytest.mark.parametrize("angle", ["normalized", "official"])
+@pytest.mark.parametrize("angle", ["normalized", "raw"])
 def test_angle_by_hand(angle):
     # An unfitted interpolator is the identity: angles between (.25, .75) and (3, 0), (.5, .5) and
     # (1, .5), (1, 0) and (0, 2).
     expected = torch.tensor([1.2490458, 0.3217506, 1.5707963])
-    if angle == "official":
+    if angle == "raw":
         expected = expected.rad2deg()
     interpolator = PreferenceInterpolator(torch.eye(2))
     loss = _table_loss(
@@ -152,7 +152,7 @@ def test_angle_by_hand(angle):
     torch.testing.assert_close(out["loss_actor"], plain["loss_actor"] + 2 * expected)
     # Critic 2: (1, -1), (0, .5), (2, 4).
     second = torch.tensor([2.0344439, 0.7853982, 1.1071487])
-    if angle == "official":
+    if angle == "raw":
         second = torch.tensor([90.0, 45.0, 63.434949])
     added = out["loss_qvalue"] - plain["loss_qvalue"]
     torch.testing.assert_close(added, 3 * (expected + second))
@@ -170,13 +170,13 @@ def test_angle_is_taken_in_the_normalised_space():
 
 def test_angle_ignores_static_objectives():
     def angle(core: float) -> torch.Tensor:
-        space = PreferenceSpace(("a", "core", "b"), static={"core": 1.0})
+        preference_space = PreferenceSpace(("a", "core", "b"), static={"core": 1.0})
         tables = [[[row[0], core, row[1]] for row in table] for table in (Q1, Q2)]
         batch = _table_batch()
         batch["next", "reward"] = torch.zeros(3, 3)
         loss = _table_loss(
             *tables,
-            preference_space=space,
+            preference_space=preference_space,
             interpolator=PreferenceInterpolator(torch.eye(2)),
             angle="normalized",
         )
@@ -188,9 +188,9 @@ def test_angle_ignores_static_objectives():
 
 
 def test_static_weight_counts_in_the_utility():
-    space = PreferenceSpace(("core", "a", "b"), static={"core": 2.0})
+    preference_space = PreferenceSpace(("core", "a", "b"), static={"core": 2.0})
     tables = [[[10.0, *row] for row in table] for table in (Q1, Q2)]
-    loss = _table_loss(*tables, preference_space=space)
+    loss = _table_loss(*tables, preference_space=preference_space)
     value = loss.actor_loss(_table_batch())[0]
     torch.testing.assert_close(value, torch.tensor(-20.5))
 
@@ -246,7 +246,7 @@ def test_one_objective_equals_td3(delayed, selection):
 # --- Gradients, state and coefficients.
 
 
-@pytest.mark.parametrize("angle", ["normalized", "official"])
+@pytest.mark.parametrize("angle", ["normalized", "raw"])
 def test_each_loss_trains_its_own_network(angle):
     loss = make_loss(angle=angle)
     actor = list(loss.actor_network_params.parameters())

@@ -29,7 +29,7 @@ from torchrl_morl.preferences import PreferenceSpace
 # --- The contract of a loss module.
 
 
-@pytest.mark.parametrize("angle", [None, "normalized", "official"])
+@pytest.mark.parametrize("angle", [None, "normalized", "raw"])
 def test_out_keys_list_what_is_written(angle):
     coefficients = {} if angle else {"angle_coeff_actor": 0.0, "angle_coeff_critic": 0.0}
     loss = make_loss(angle=angle, **coefficients)
@@ -336,7 +336,7 @@ def test_mixed_precision(loss_function, compiled):
         assert torch.cosine_similarity(gradient.flatten(), expected[name].flatten(), dim=0) > 0.98
 
 
-@pytest.mark.parametrize("angle", ["normalized", "official"])
+@pytest.mark.parametrize("angle", ["normalized", "raw"])
 @pytest.mark.parametrize("deactivate_vmap", [False, True])
 def test_compiles_to_one_graph(angle, deactivate_vmap):
     loss = make_loss(angle=angle, deactivate_vmap=deactivate_vmap)
@@ -368,11 +368,11 @@ def test_learns_to_follow_the_preference():
     # One step, two goals: the rewards are the distances to actions -1 and 1, so the best action for
     # (lambda, 1 - lambda) is 1 - 2 lambda.
     spec = Bounded(-2.0, 2.0, (1,))
-    space = PreferenceSpace(("left", "right"))
+    preference_space = PreferenceSpace(("left", "right"))
     loss = MOTD3Loss(
         make_actor(spec, in_features=2, in_keys=["preference"], num_cells=(32,)),
         make_vector_critic(2, in_features=3, in_keys=["preference", "action"], num_cells=(32, 32)),
-        preference_space=space,
+        preference_space=preference_space,
         action_spec=spec,
     )
     SoftUpdate(loss, tau=0.05)
@@ -382,7 +382,7 @@ def test_learns_to_follow_the_preference():
         done = torch.ones(128, 1, dtype=torch.bool)
         reward = torch.cat([-((action + 1) ** 2), -((action - 1) ** 2)], -1)
         batch = TensorDict(
-            preference=space.sample(128),
+            preference=preference_space.sample(128),
             action=action,
             next=TensorDict(reward=reward, done=done, terminated=done, batch_size=128),
             batch_size=128,

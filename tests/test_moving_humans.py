@@ -9,9 +9,10 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from envs import SCENES, NavigationEnv
-from envs.policy_env import make_policy_env, observation_size, policy_transforms
+from envs.policy_env import make_policy_env, observation_size
 from recipes.drex import ranking
 from tests._drex import config
+from torchrl_morl.deploy.features import policy_transforms
 from torchrl_morl.modules import RewardModel
 
 
@@ -20,7 +21,7 @@ def sample(name: str, count: int = 400):
 
 
 def test_half_of_the_mixed_scenes_explore_and_half_have_a_moving_human():
-    """They are the scenes of the two, for which other tests stand; the law of the mix is what is new."""
+    """They are the scenes of the two, for which other tests stand; the distribution of the mix is what is new."""
     generator = torch.Generator().manual_seed(3)
     parts = [SCENES[name].sample(400, 0.177, generator) for name in ("exploring", "moving_human")]
     mixed = sample("mixed")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from envs import HSR, TURTLEBOT2, NavigationEnv, Perturbation
+from envs import HSR, TURTLEBOT2, Faults, NavigationEnv
 from tests._navigation import F64, drive, make_env, place
 
 # --- motion ------------------------------------------------------------------------------------
@@ -156,12 +156,12 @@ def test_the_human_walks_half_a_metre_a_second_and_stops():
 
 def _scans(**kwargs):
     clean = make_env(num_envs=64).reset()["scan"]
-    faulty = make_env(num_envs=64, perturbation=Perturbation(**kwargs)).reset()["scan"]
+    faulty = make_env(num_envs=64, faults=Faults(**kwargs)).reset()["scan"]
     return clean, faulty
 
 
 def test_faults_are_off_by_default():
-    assert Perturbation() == Perturbation(0.0, 0.0, 0.0, 0) == NavigationEnv().perturbation
+    assert Faults() == Faults(0.0, 0.0, 0.0, 0) == NavigationEnv().faults
     assert torch.equal(*_scans())
 
 
@@ -189,7 +189,7 @@ def test_dropout_has_its_rate(rate):
 
 @pytest.mark.parametrize("drive", ["planar", "wheels"])
 def test_latency_is_exactly_one_step(drive):
-    late = make_env(num_envs=3, drive=drive, perturbation=Perturbation(latency=1))
+    late = make_env(num_envs=3, drive=drive, faults=Faults(latency=1))
     prompt = make_env(num_envs=3, drive=drive)
     actions = torch.stack([prompt.action_spec.rand() for _ in range(8)])
     delayed = torch.cat((torch.zeros_like(actions[:1]), actions[:-1]))
@@ -208,7 +208,7 @@ def test_latency_is_exactly_one_step(drive):
 
 def test_velocity_noise_is_a_share_of_the_range():
     n, share = 2_000, 0.05
-    env = make_env(num_envs=n, num_rays=1, perturbation=Perturbation(velocity_noise=share))
+    env = make_env(num_envs=n, num_rays=1, faults=Faults(velocity_noise=share))
     # A command in the middle of the range, ten standard deviations from its limits.
     drive(env, env.reset(), (0.25, 0.0), 1)
     executed = torch.from_numpy(env.batch.ctrl[:, :2].copy())
@@ -230,7 +230,7 @@ def test_velocity_noise_is_a_share_of_the_range():
     ids=lambda kwargs: next(iter(kwargs)),
 )
 def test_faults_leave_the_scenes_of_a_seed_unchanged(kwargs):
-    clean, faulty = make_env(num_envs=4), make_env(num_envs=4, perturbation=Perturbation(**kwargs))
+    clean, faulty = make_env(num_envs=4), make_env(num_envs=4, faults=Faults(**kwargs))
     for _ in range(3):
         starts = [env.reset() for env in (clean, faulty)]
         for key in ("pose", "human_pose", ("scene", "goal"), ("scene", "boxes")):
@@ -252,7 +252,7 @@ def test_faults_leave_the_scenes_of_a_seed_unchanged(kwargs):
 )
 def test_faults_are_checked(kwargs, message):
     with pytest.raises(ValueError, match=message):
-        Perturbation(**kwargs)
+        Faults(**kwargs)
 
 
 @pytest.mark.parametrize("name", ["goal_radius", "num_rays", "max_range"])

@@ -15,10 +15,10 @@ def make_loss(*overrides: str):
     """The loss of the recipe, and its configuration."""
     small = ("network.num_cells=[8]", "env.num_envs=4", "compute.compile=true")
     cfg = config(*small, *overrides)
-    space = utils.make_preference_space(with_demonstrations=True)
+    preference_space = utils.make_preference_space(with_demonstrations=True)
     env = utils.make_train_env(cfg, utils.make_preference_space(False), None)
-    actor, _ = utils.make_policy(cfg, env, space, torch.device("cpu"))
-    loss = utils.make_loss(cfg, env, space, actor, torch.device("cpu"))
+    actor, _ = utils.make_policy(cfg, env, preference_space, torch.device("cpu"))
+    loss = utils.make_loss(cfg, env, preference_space, actor, torch.device("cpu"))
     env.close()
     return cfg, loss
 

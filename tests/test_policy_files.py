@@ -34,7 +34,7 @@ def actor():
 
 def save(folder: Path, actor, **kwargs) -> Path:
     defaults = {
-        "space": SPACE,
+        "preference_space": SPACE,
         "observation_size": OBSERVATION,
         "action_size": ACTION,
         "num_cells": CELLS,
@@ -63,12 +63,12 @@ def edit(folder: Path, **changes) -> None:
 
 
 def test_round_trip_is_bit_equal(folder, actor):
-    loaded, space, card = load_policy(folder)
+    loaded, preference_space, card = load_policy(folder)
     data = inputs(64)
     expected, action = actor(data.clone()), loaded(data.clone())
     assert torch.equal(action["action"], expected["action"])
     assert torch.equal(action["pre_tanh"], expected["pre_tanh"])
-    assert (space, card) == (SPACE, CARD)
+    assert (preference_space, card) == (SPACE, CARD)
     assert not loaded.training
     assert not any(parameter.requires_grad for parameter in loaded.parameters())
 

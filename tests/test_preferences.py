@@ -10,7 +10,7 @@ from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.segments import PreferenceSegments
 
 PAPER = PreferenceSpace(("core", "demo", "distance", "efficiency"), static={"core": 1.0})
-LAWS = ("dirichlet", "abs_normal")
+DISTRIBUTIONS = ("dirichlet", "abs_normal")
 
 
 def tunable_space(size: int) -> PreferenceSpace:
@@ -23,12 +23,12 @@ def generator(seed: int = 0) -> torch.Generator:
 
 class TestSpace:
     def test_properties(self):
-        space = PreferenceSpace(("a", "s", "b", "t"), static={"t": -2, "s": 0.5})
-        assert space.num_objectives == 4
-        assert space.tunable == ("a", "b")
-        assert space.num_tunable == 2
-        assert space.tunable_indices == (0, 2)
-        assert space.static == (("s", 0.5), ("t", -2.0))
+        preference_space = PreferenceSpace(("a", "s", "b", "t"), static={"t": -2, "s": 0.5})
+        assert preference_space.num_objectives == 4
+        assert preference_space.tunable == ("a", "b")
+        assert preference_space.num_tunable == 2
+        assert preference_space.tunable_indices == (0, 2)
+        assert preference_space.static == (("s", 0.5), ("t", -2.0))
 
     def test_is_a_value(self):
         other = PreferenceSpace(["core", "demo", "distance", "efficiency"], {"core": 1})
@@ -94,8 +94,8 @@ class TestValidate:
 
 class TestWeights:
     def test_static_weights_take_their_places(self):
-        space = PreferenceSpace(("a", "s", "b"), static={"s": -3.0})
-        weights = space.weights(torch.tensor([[[0.25, 0.75]], [[1.0, 0.0]]]))
+        preference_space = PreferenceSpace(("a", "s", "b"), static={"s": -3.0})
+        weights = preference_space.weights(torch.tensor([[[0.25, 0.75]], [[1.0, 0.0]]]))
         assert weights.tolist() == [[[0.25, -3.0, 0.75]], [[1.0, -3.0, 0.0]]]
 
     def test_differentiable(self):
@@ -114,42 +114,42 @@ class TestWeights:
 
 
 class TestSample:
-    @pytest.mark.parametrize("law", LAWS)
+    @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
     @pytest.mark.parametrize("size", [1, 2, 5])
     @pytest.mark.parametrize("shape", [(), 7, (2, 3)])
-    def test_on_the_simplex(self, law, size, shape):
-        space = tunable_space(size)
-        value = space.sample(shape, law, generator())
+    def test_on_the_simplex(self, distribution, size, shape):
+        preference_space = tunable_space(size)
+        value = preference_space.sample(shape, distribution, generator())
         expected = (shape,) if isinstance(shape, int) else shape
         assert value.shape == (*expected, size)
-        space.validate(value, tol=1e-6)
+        preference_space.validate(value, tol=1e-6)
 
-    @pytest.mark.parametrize("law", LAWS)
-    def test_exchangeable(self, law):
-        assert PAPER.sample(50_000, law, generator()).mean(0).sub(1 / 3).abs().max() < 5e-3
+    @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+    def test_exchangeable(self, distribution):
+        assert PAPER.sample(50_000, distribution, generator()).mean(0).sub(1 / 3).abs().max() < 5e-3
 
     def test_dirichlet_is_uniform(self):
-        # Under the uniform law on the triangle P(p_0 > x) = (1 - x)^2.
+        # Under the uniform distribution on the triangle P(p_0 > x) = (1 - x)^2.
         first = PAPER.sample(50_000, "dirichlet", generator())[:, 0]
         for x in (0.1, 0.5, 0.9):
             assert (first > x).float().mean().item() == pytest.approx((1 - x) ** 2, abs=8e-3)
 
     def test_abs_normal_density(self):
         # The density is proportional to |p|_2^-T: weighed with |p|_2^T, the mean is that of the
-        # uniform law.
+        # uniform distribution.
         value = PAPER.sample(100_000, "abs_normal", generator())
         weight = value.norm(dim=-1).pow(3)
         corner = (value[:, 0] > 0.8).float()
-        assert corner.mean() < 0.03  # 0.04 under the uniform law
+        assert corner.mean() < 0.03  # 0.04 under the uniform distribution
         assert ((weight * corner).sum() / weight.sum()).item() == pytest.approx(0.04, abs=3e-3)
 
     def test_seed(self):
-        for law in LAWS:
-            first, again = (PAPER.sample(9, law, generator(1)) for _ in range(2))
+        for distribution in DISTRIBUTIONS:
+            first, again = (PAPER.sample(9, distribution, generator(1)) for _ in range(2))
             assert torch.equal(first, again)
-            assert not torch.equal(first, PAPER.sample(9, law, generator(2)))
+            assert not torch.equal(first, PAPER.sample(9, distribution, generator(2)))
 
-    def test_unknown_law(self):
+    def test_unknown_distribution(self):
         with pytest.raises(ValueError, match=r"'dirichlet', 'abs_normal'.*'uniform'"):
             PAPER.sample(3, "uniform")
 
@@ -161,10 +161,10 @@ class TestGrids:
     @pytest.mark.parametrize("size", [1, 2, 3, 5])
     @pytest.mark.parametrize("divisions", [1, 3, 10])
     def test_lattice(self, size, divisions):
-        space = tunable_space(size)
-        lattice = space.lattice(divisions)
+        preference_space = tunable_space(size)
+        lattice = preference_space.lattice(divisions)
         assert len(lattice) == math.comb(divisions + size - 1, size - 1)
-        space.validate(lattice, tol=1e-6)
+        preference_space.validate(lattice, tol=1e-6)
         counts = lattice * divisions
         assert torch.allclose(counts, counts.round(), atol=1e-5)
         assert len(counts.round().unique(dim=0)) == len(lattice)
@@ -189,9 +189,9 @@ class TestGrids:
 
     @pytest.mark.parametrize("size", [1, 4, 5])
     def test_pairwise_grid_has_every_edge_once(self, size):
-        space = tunable_space(size)
-        grid = space.pairwise_grid(3)
-        space.validate(grid)
+        preference_space = tunable_space(size)
+        grid = preference_space.pairwise_grid(3)
+        preference_space.validate(grid)
         middles = grid[((grid > 0).sum(-1) == 2)]
         assert len(middles.unique(dim=0)) == len(middles) == math.comb(size, 2)
         assert len(grid) == max(1, 3 * math.comb(size, 2))
@@ -207,8 +207,10 @@ class TestSegments:
     @pytest.mark.parametrize("size", [2, 3, 4, 6])
     @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 10])
     def test_balance(self, size, count):
-        space = tunable_space(size)
-        index = space.segments(count).index(space.sample(40_000, generator=generator()))
+        preference_space = tunable_space(size)
+        index = PreferenceSegments(preference_space, count).index(
+            preference_space.sample(40_000, generator=generator())
+        )
         share = index.bincount(minlength=count) / len(index)
         assert len(share) == count
         # Five standard deviations of a binomial share.
@@ -217,7 +219,7 @@ class TestSegments:
     @pytest.mark.parametrize("size", [2, 3, 5])
     @pytest.mark.parametrize("count", [1, 2, 4, 9])
     def test_every_preference_is_in_exactly_one_cell(self, size, count):
-        segments = tunable_space(size).segments(count)
+        segments = PreferenceSegments(tunable_space(size), count)
         lower, upper = segments._boxes(torch.device("cpu"))
         assert (upper - lower).prod(-1).sub(1 / count).abs().max() < 1e-12
         cube = torch.cartesian_prod(*[torch.linspace(0, 1, 9).double()] * (size - 1))
@@ -228,13 +230,19 @@ class TestSegments:
     @pytest.mark.parametrize("size", [2, 3, 5])
     @pytest.mark.parametrize("count", [2, 3, 5, 8])
     def test_boundary_has_a_cell(self, size, count):
-        space = tunable_space(size)
-        border = torch.cat([space.corners(), space.pairwise_grid(5), space.lattice(4)])
-        index = space.segments(count).index(border)
+        preference_space = tunable_space(size)
+        border = torch.cat(
+            [
+                preference_space.corners(),
+                preference_space.pairwise_grid(5),
+                preference_space.lattice(4),
+            ]
+        )
+        index = PreferenceSegments(preference_space, count).index(border)
         assert index.min() >= 0 and index.max() < count and index.unique().numel() > 1
 
     def test_natural_cells(self):
-        segments = PAPER.segments(3)
+        segments = PreferenceSegments(PAPER, 3)
         assert segments == PreferenceSegments(PAPER, 3)
         value = PAPER.sample((50, 2), generator=generator())
         nearest = (value.unsqueeze(-2) - PAPER.corners()).norm(dim=-1).argmin(-1)
@@ -242,21 +250,21 @@ class TestSegments:
 
     def test_more_than_one_coordinate_is_cut(self):
         value = PAPER.sample(2000, generator=generator())
-        index = PAPER.segments(4).index(value)
+        index = PreferenceSegments(PAPER, 4).index(value)
         narrow = (value[:, 0] - 0.2).abs() < 0.02
         assert index[narrow].unique().numel() > 1
 
-    @pytest.mark.parametrize("law", LAWS)
+    @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
     @pytest.mark.parametrize(("size", "count"), [(2, 2), (2, 5), (3, 1), (3, 3), (3, 4), (4, 6)])
-    def test_sample_follows_the_law_within_the_cell(self, law, size, count):
-        space = tunable_space(size)
-        segments = space.segments(count)
+    def test_sample_follows_the_distribution_within_the_cell(self, distribution, size, count):
+        preference_space = tunable_space(size)
+        segments = PreferenceSegments(preference_space, count)
         wanted = torch.arange(3000 * count).reshape(-1, 2) % count
-        value = segments.sample(wanted, law, generator())
+        value = segments.sample(wanted, distribution, generator())
         assert value.shape == (*wanted.shape, size)
-        space.validate(value, tol=1e-5)
+        preference_space.validate(value, tol=1e-5)
         assert torch.equal(segments.index(value), wanted)
-        free = space.sample(20_000 * count, law, generator(1))
+        free = preference_space.sample(20_000 * count, distribution, generator(1))
         index = segments.index(free)
         for cell in range(count):
             drawn, expected = value[wanted == cell], free[index == cell]
@@ -265,24 +273,24 @@ class TestSegments:
 
     @pytest.mark.parametrize("count", [1, 2, 5])
     def test_one_tunable_objective(self, count):
-        segments = tunable_space(1).segments(count)
+        segments = PreferenceSegments(tunable_space(1), count)
         assert segments.index(torch.ones(4, 1)).tolist() == [0] * 4
-        for law in LAWS:
-            assert segments.sample(torch.arange(4) % count, law).tolist() == [[1.0]] * 4
+        for distribution in DISTRIBUTIONS:
+            assert segments.sample(torch.arange(4) % count, distribution).tolist() == [[1.0]] * 4
 
     @pytest.mark.parametrize("count", [3, 4])
     def test_seed(self, count):
-        segments = PAPER.segments(count)
+        segments = PreferenceSegments(PAPER, count)
         index = torch.arange(10) % count
-        for law in LAWS:
-            first, again = (segments.sample(index, law, generator(1)) for _ in range(2))
+        for distribution in DISTRIBUTIONS:
+            first, again = (segments.sample(index, distribution, generator(1)) for _ in range(2))
             assert torch.equal(first, again)
-            assert not torch.equal(first, segments.sample(index, law, generator(2)))
+            assert not torch.equal(first, segments.sample(index, distribution, generator(2)))
 
     def test_invalid(self):
         with pytest.raises(ValueError, match="got 0"):
-            PAPER.segments(0)
+            PreferenceSegments(PAPER, 0)
         with pytest.raises(ValueError, match="'uniform'"):
-            PAPER.segments(3).sample(torch.tensor([0]), "uniform")
+            PreferenceSegments(PAPER, 3).sample(torch.tensor([0]), "uniform")
         with pytest.raises(ValueError, match=r"got \[2\]"):
-            PAPER.segments(3).index(torch.ones(2))
+            PreferenceSegments(PAPER, 3).index(torch.ones(2))

@@ -9,13 +9,13 @@ import torch
 from omegaconf import OmegaConf
 from torchrl.envs.utils import check_env_specs
 
-from envs import NavigationEnv, Perturbation
-from envs.perturbation import get_perturbation
+from envs import Faults, NavigationEnv
+from envs.faults import get_faults
 from envs.policy_env import make_policy_env
 from recipes.pd_morl import evaluation
 from tests._drex import config
 
-EVERY = Perturbation(
+EVERY = Faults(
     range_noise=(0.0, 0.05), dropout=(0.02, 0.1), velocity_noise=(0.0, 0.05), latency=(0, 1)
 )
 F64 = torch.float64
@@ -34,7 +34,7 @@ def test_every_episode_draws_within_the_ranges():
     for column, (low, high) in enumerate([(0.0, 0.05), (0.02, 0.1), (0.0, 0.05)]):
         drawn = amounts[:, column]
         assert low <= drawn.min() < drawn.max() <= high
-        # A uniform law: its mean and its standard deviation.
+        # A uniform distribution: its mean and its standard deviation.
         error = (high - low) / math.sqrt(12 * 4000)
         assert abs(drawn.mean() - (low + high) / 2) < 5 * error
         assert abs(drawn.std() - (high - low) / math.sqrt(12)) < 5 * error
@@ -48,17 +48,17 @@ def test_every_episode_draws_within_the_ranges():
 def test_faults_that_are_numbers_are_not_drawn():
     generator = torch.Generator().manual_seed(0)
     before = generator.get_state()
-    amounts = Perturbation(0.03, 0.2, 0.01, 1).draw(3, generator)
+    amounts = Faults(0.03, 0.2, 0.01, 1).draw(3, generator)
     assert amounts.tolist() == [[0.03, 0.2, 0.01, 1.0]] * 3
     assert torch.equal(generator.get_state(), before)
-    mixed = Perturbation(range_noise=0.03, latency=(0, 1)).draw(50, generator)
+    mixed = Faults(range_noise=0.03, latency=(0, 1)).draw(50, generator)
     assert (mixed[:, 0] == 0.03).all() and (mixed[:, 1:3] == 0).all()
-    assert not Perturbation(0.03).is_random and EVERY.is_random
+    assert not Faults(0.03).is_random and EVERY.is_random
 
 
 def test_fixed_faults_do_what_they_did():
     """The formulas without amounts per episode, on the same draws: bit for bit."""
-    faults = Perturbation(range_noise=0.04, dropout=0.1, velocity_noise=0.03)
+    faults = Faults(range_noise=0.04, dropout=0.1, velocity_noise=0.03)
     amounts = faults.draw(6, torch.Generator())
     ranges = 4.3 * torch.rand(6, 50, dtype=F64)
     velocity, low, high = (
@@ -83,14 +83,14 @@ def test_fixed_faults_do_what_they_did():
 
 @pytest.mark.parametrize("snapshots", [True, False])
 def test_specs(snapshots):
-    env = make_env(num_envs=3, perturbation=EVERY, snapshots=snapshots, num_rays=30)
+    env = make_env(num_envs=3, faults=EVERY, snapshots=snapshots, num_rays=30)
     check_env_specs(env)
     assert ("faults" in env.observation_spec.keys()) == snapshots
-    assert "faults" not in make_env(perturbation=Perturbation(0.1)).observation_spec.keys()
+    assert "faults" not in make_env(faults=Faults(0.1)).observation_spec.keys()
 
 
 def test_scenes_of_a_seed_are_those_without_faults():
-    clean, faulty = make_env(num_envs=4), make_env(num_envs=4, perturbation=EVERY)
+    clean, faulty = make_env(num_envs=4), make_env(num_envs=4, faults=EVERY)
     for _ in range(3):
         starts = [env.reset() for env in (clean, faulty)]
         for key in ("pose", "human_pose", ("scene", "goal"), ("scene", "boxes")):
@@ -98,7 +98,7 @@ def test_scenes_of_a_seed_are_those_without_faults():
 
 
 def test_a_seed_fixes_the_faults():
-    env, twin = (make_env(num_envs=4, perturbation=EVERY, num_rays=30) for _ in range(2))
+    env, twin = (make_env(num_envs=4, faults=EVERY, num_rays=30) for _ in range(2))
     first = env.reset()
     assert torch.equal(first["faults"], twin.reset()["faults"])
     again = env.reset()
@@ -111,7 +111,7 @@ def test_a_seed_fixes_the_faults():
 
 def test_each_scan_has_the_noise_and_the_dropout_of_its_episode():
     clean = make_env(num_envs=40).reset()["scan"]
-    noisy = make_env(num_envs=40, perturbation=Perturbation(range_noise=(0.0, 0.1))).reset()
+    noisy = make_env(num_envs=40, faults=Faults(range_noise=(0.0, 0.1))).reset()
     hit = (clean < 3.2) & (clean > 0.8)  # eight standard deviations from the limits
     counts = hit.sum(1)
     wide = counts > 40
@@ -121,7 +121,7 @@ def test_each_scan_has_the_noise_and_the_dropout_of_its_episode():
     expected = noisy["faults"][wide, 0]
     assert ((deviation / expected - 1).abs() < 5 / (2 * counts[wide]).sqrt()).all()
 
-    lossy = make_env(num_envs=40, perturbation=Perturbation(dropout=(0.0, 1.0))).reset()
+    lossy = make_env(num_envs=40, faults=Faults(dropout=(0.0, 1.0))).reset()
     hit = clean < 4.0
     lost = ((lossy["scan"] == 4.0) & hit).sum(1) / hit.sum(1)
     rate = lossy["faults"][:, 1]
@@ -130,7 +130,7 @@ def test_each_scan_has_the_noise_and_the_dropout_of_its_episode():
 
 
 def test_commands_are_late_in_those_episodes_that_drew_it():
-    env = make_env(num_envs=12, num_rays=1, perturbation=Perturbation(latency=(0, 1)))
+    env = make_env(num_envs=12, num_rays=1, faults=Faults(latency=(0, 1)))
     data = env.reset()
     late = data["faults"][:, 3].bool()
     assert 0 < late.sum() < 12
@@ -146,7 +146,7 @@ def test_commands_are_late_in_those_episodes_that_drew_it():
 
 
 def test_executed_velocities_have_the_noise_of_their_episode():
-    env = make_env(num_envs=800, num_rays=1, perturbation=Perturbation(velocity_noise=(0.0, 0.06)))
+    env = make_env(num_envs=800, num_rays=1, faults=Faults(velocity_noise=(0.0, 0.06)))
     data = env.reset()
     share = data["faults"][:, 2:3]
     action = torch.tensor([0.25, 0.0], dtype=F64)
@@ -160,7 +160,7 @@ def test_executed_velocities_have_the_noise_of_their_episode():
 
 
 def test_only_the_episodes_that_begin_draw():
-    env = make_env(num_envs=6, num_rays=30, perturbation=EVERY)
+    env = make_env(num_envs=6, num_rays=30, faults=EVERY)
     before = env.reset()
     mask = torch.tensor([True, False, True, False, False, True])[:, None]
     after = env.reset(before.clone().set("_reset", mask), set_state=False)
@@ -169,7 +169,7 @@ def test_only_the_episodes_that_begin_draw():
 
 
 def test_a_snapshot_goes_on_with_its_faults():
-    env = make_env(num_envs=3, num_rays=1, perturbation=Perturbation(latency=(0, 1)))
+    env = make_env(num_envs=3, num_rays=1, faults=Faults(latency=(0, 1)))
     data = env.reset()
     while data["faults"][:, 3].unique().numel() == 1:
         data = env.reset()
@@ -192,22 +192,22 @@ def test_a_snapshot_goes_on_with_its_faults():
 # --- from a configuration
 
 
-def test_configurations_become_perturbations():
-    assert get_perturbation(None) == get_perturbation({}) == Perturbation()
-    assert get_perturbation(EVERY) is EVERY
+def test_configurations_become_faults():
+    assert get_faults(None) == get_faults({}) == Faults()
+    assert get_faults(EVERY) is EVERY
     cfg = OmegaConf.create({"range_noise": [0.0, 0.05], "dropout": 0.1, "latency": [0, 1]})
-    expected = Perturbation((0.0, 0.05), 0.1, latency=(0, 1))
-    assert get_perturbation(cfg) == expected
-    assert hash(get_perturbation(cfg)) == hash(expected)
-    assert get_perturbation(config("pd_morl").env.perturbation) == Perturbation()
-    env = make_policy_env(num_envs=2, num_threads=1, perturbation=cfg)
-    assert env.base_env.perturbation == expected
+    expected = Faults((0.0, 0.05), 0.1, latency=(0, 1))
+    assert get_faults(cfg) == expected
+    assert hash(get_faults(cfg)) == hash(expected)
+    assert get_faults(config("pd_morl").env.faults) == Faults()
+    env = make_policy_env(num_envs=2, num_threads=1, faults=cfg)
+    assert env.base_env.faults == expected
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"fog": 0.1}, "Unknown fault 'fog' of a perturbation: choose among"),
+        ({"fog": 0.1}, "Unknown fault 'fog': choose among"),
         ({"range_noise": [0.1, 0.0]}, "range_noise must be a number or a pair in ascending order"),
         ({"range_noise": [0.1]}, "range_noise must be a number or a pair"),
         ({"dropout": "much"}, "dropout must be a number or a pair"),
@@ -219,13 +219,13 @@ def test_configurations_become_perturbations():
 )
 def test_configurations_are_checked(given, message):
     with pytest.raises(ValueError, match=message):
-        get_perturbation(OmegaConf.create(given))
+        get_faults(OmegaConf.create(given))
 
 
 def test_what_was_demonstrated_knows_no_faults():
     overrides = ("evaluation.episodes=3", "env.max_episode_steps=40")
     card = {"demonstrator": {"radius": 1.0, "side": "left", "speed": 0.5, "robot": "turtlebot2"}}
-    faults = ("env.perturbation.velocity_noise=[0.1,0.3]", "env.perturbation.latency=[0,1]")
+    faults = ("env.faults.velocity_noise=[0.1,0.3]", "env.faults.latency=[0,1]")
     clean, faulty = (
         evaluation.demonstrated(config("pd_morl", (*overrides, *more)), card)
         for more in ((), faults)

@@ -16,11 +16,11 @@ from torchrl.data import Bounded
 
 import recipes.evaluate
 from envs import NavigationEnv
-from envs.policy_env import OBSERVATION_SIZE
 from recipes.pd_morl.learning import use_bfloat16
 from tests._command import run
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_policy
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import make_actor
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -160,8 +160,8 @@ def test_policies_can_be_loaded(trained):
     names = sorted(path.name for path in (folder / "policies").iterdir())
     assert names == ["000000576", "000000960"]
     for name in names:
-        actor, space, card = load_policy(folder / "policies" / name)
-        assert space == SPACE
+        actor, preference_space, card = load_policy(folder / "policies" / name)
+        assert preference_space == SPACE
         assert card["config"]["network"]["num_cells"] == [16, 16]
         assert card["evaluation"]["preferences"] == list(CORNERS)
         data = TensorDict(observation=torch.zeros(2, OBSERVATION_SIZE), preference=torch.eye(2))
@@ -276,7 +276,7 @@ def policy(tmp_path_factory) -> Path:
     return save_policy(
         tmp_path_factory.mktemp("policies") / "tiny",
         actor,
-        space=SPACE,
+        preference_space=SPACE,
         observation_size=OBSERVATION_SIZE,
         action_size=2,
         num_cells=(8,),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from envs.recordings import COLUMNS, read_recordings
+from envs.demonstrations.recordings import COLUMNS, read_recordings
 
 HEADER = "trajectory,time,x,y,heading,human_x,human_y,goal_x,goal_y"
 TEXT = f"""{HEADER}

@@ -17,9 +17,10 @@ from torchrl.envs import EnvBase, TransformedEnv
 
 from benchmarks.learner_systems import Ours, config, transitions
 from envs.metrics import episode_metrics, trajectories
-from envs.policy_env import OBSERVATION_SIZE, make_policy_env, policy_transforms
+from envs.policy_env import make_policy_env
 from recipes.pd_morl import learning, utils
 from tests._tally import count, python_calls
+from torchrl_morl.deploy.features import OBSERVATION_SIZE, policy_transforms
 from torchrl_morl.evaluation import discrete_frechet
 from torchrl_morl.modules import PreferenceInterpolator, RewardModel
 from torchrl_morl.preferences import PreferenceSpace
@@ -139,7 +140,7 @@ def test_only_the_average_of_the_actor_waits(learner):
     "transform",
     [
         PreferenceRelabel(SPACE),
-        PreferenceRelabel(SPACE, seed=0, law="jeffreys"),
+        PreferenceRelabel(SPACE, seed=0, distribution="jeffreys"),
         PreferenceExpand(SPACE),
         PreferenceSampler(SPACE),
         RewardModelReward(MODEL, position=1),
@@ -170,7 +171,7 @@ def _mock(size: int) -> EnvBase:
 def _transformed(size: int) -> EnvBase:
     """With every transform of the recipe, and one more."""
     chain = policy_transforms()
-    chain.append(PreferenceSampler(SPACE, law="jeffreys", num_segments=2, seed=0))
+    chain.append(PreferenceSampler(SPACE, distribution="jeffreys", num_segments=2, seed=0))
     chain.append(RewardModelReward(MODEL))
     chain.append(ScalarizeReward(SPACE))
     return TransformedEnv(_mock(size), chain)
@@ -268,8 +269,8 @@ def test_metrics_ask_the_same_for_any_number_of_preferences():
 
 
 def test_preferences_ask_the_same_for_any_number_of_them():
-    for law in ("dirichlet", "jeffreys", "abs_normal"):
-        small, large = (count(functools.partial(SPACE.sample, n, law)) for n in (2, 200))
+    for distribution in ("dirichlet", "jeffreys", "abs_normal"):
+        small, large = (count(functools.partial(SPACE.sample, n, distribution)) for n in (2, 200))
         assert small.operators == large.operators
 
 
@@ -277,10 +278,10 @@ def test_objectives_cost_operators_in_the_weights_alone():
     """The interpolator, the angle and the relabelling know no loop over objectives."""
 
     def operators(objectives: int) -> int:
-        space = PreferenceSpace([f"objective_{i}" for i in range(objectives)])
-        interpolator = PreferenceInterpolator(space.corners())
-        relabel = PreferenceRelabel(space)
-        batch = TensorDict(preference=space.sample(8), batch_size=8)
+        preference_space = PreferenceSpace([f"objective_{i}" for i in range(objectives)])
+        interpolator = PreferenceInterpolator(preference_space.corners())
+        relabel = PreferenceRelabel(preference_space)
+        batch = TensorDict(preference=preference_space.sample(8), batch_size=8)
         return count(lambda: (relabel(batch), interpolator(batch["preference"]))).total
 
     assert operators(3) == operators(12)

@@ -14,9 +14,8 @@ import pytest
 import torch
 from torchrl.data import Bounded
 
-from envs import Perturbation
-from envs.demonstrator import CircleDemonstrator
-from envs.policy_env import OBSERVATION_SIZE
+from envs import Faults
+from envs.demonstrations import CircleDemonstrator
 from recipes.results import evaluate as module
 from recipes.results.conditions import CHANGES, SCENE_KINDS, condition
 from recipes.results.episodes import OUTCOMES
@@ -26,6 +25,7 @@ from recipes.results.systems import SPACE, Member, System, load_system, untraine
 from recipes.sweep import sweep
 from tests._results import SCENES, fabricate
 from torchrl_morl.deploy import save_policy
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import make_actor
 
 CIRCLE = untrained("circle", lambda robot: CircleDemonstrator(robot=robot, scaled=True))
@@ -44,7 +44,7 @@ def save(folder, seed: int, **card):
     return save_policy(
         folder,
         actor,
-        space=SPACE,
+        preference_space=SPACE,
         observation_size=OBSERVATION_SIZE,
         action_size=2,
         num_cells=(8,),
@@ -168,22 +168,20 @@ def test_files_that_are_incomplete_are_refused(tmp_path):
 @pytest.mark.parametrize("name", [*SCENE_KINDS, *CHANGES, "moving_human+faults", "corridor+all"])
 def test_conditions_by_name(name):
     arguments = condition(name)
-    assert set(arguments) == {"scene", "robot", "drive", "perturbation"}
+    assert set(arguments) == {"scene", "robot", "drive", "faults"}
     assert arguments["scene"] == (
         name.split("+")[0] if name.split("+")[0] in SCENE_KINDS else "static"
     )
 
 
-def test_all_perturbations_are_all():
+def test_all_faults_are_all():
     assert condition("all") == {
         "scene": "static",
         "robot": "hsr",
         "drive": "wheels",
-        "perturbation": Perturbation(
-            range_noise=0.02, dropout=0.02, velocity_noise=0.05, latency=1
-        ),
+        "faults": Faults(range_noise=0.02, dropout=0.02, velocity_noise=0.05, latency=1),
     }
-    assert condition("static")["perturbation"] is None
+    assert condition("static")["faults"] is None
 
 
 @pytest.mark.parametrize("name", ["", "rain", "static+rain", "hsr+static", "static+", "hsr+wheels"])

@@ -18,13 +18,14 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import recipes.evaluate
 from envs import NavigationEnv
-from envs.policy_env import OBSERVATION_SIZE, make_policy_env
+from envs.policy_env import make_policy_env
 from recipes.scalarized import sac, td3, utils
 from recipes.sweep import sweep
 from recipes.task import Task
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_reward_model
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.transforms import PreferenceSampler, ScalarizeReward
 
@@ -71,8 +72,8 @@ def configuration(name: str, *overrides: str) -> DictConfig:
 
 
 def actions(folder: Path, observation: torch.Tensor, preference: torch.Tensor) -> torch.Tensor:
-    actor, space, _ = load_policy(folder)
-    assert space == SPACE
+    actor, preference_space, _ = load_policy(folder)
+    assert preference_space == SPACE
     return actor(TensorDict(observation=observation, preference=preference))["action"]
 
 
@@ -135,8 +136,8 @@ def test_reward_model_adds_its_objective(tmp_path):
         card={"demonstrator": {"radius": 1.0, "side": "left", "speed": 0.5}},
     )
     folder = train("sac", tmp_path / "run", f"demonstrations.reward_model={tmp_path / 'model'}")
-    _, space, card = load_policy(folder / "policies" / "000000288")
-    assert space.tunable == ("demo", "distance", "efficiency")
+    _, preference_space, card = load_policy(folder / "policies" / "000000288")
+    assert preference_space.tunable == ("demo", "distance", "efficiency")
     assert card["demonstrator"]["radius"] == 1.0
     assert "frechet" in card["evaluation"]
 
@@ -181,9 +182,9 @@ def test_scalar_reward_of_an_environment_follows_the_sampled_preference():
     assert (data["preference"][:, 0].std(0) > 0).all()
 
 
-def task(space: PreferenceSpace = SPACE) -> Task:
+def task(preference_space: PreferenceSpace = SPACE) -> Task:
     env = make_policy_env(num_envs=1, seed=0)
-    return Task(Path(), torch.device("cpu"), space, env, env, None, None, None)
+    return Task(Path(), torch.device("cpu"), preference_space, env, env, None, None, None)
 
 
 def sampled(cfg: DictConfig, task: Task) -> TensorDict:

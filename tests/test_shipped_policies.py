@@ -18,11 +18,15 @@ FOLDERS = sorted((Path(__file__).resolve().parent.parent / "recipes" / "policies
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_it_drives_a_second_in_the_environment_of_its_card(folder):
-    actor, space, card = load_policy(folder)
+    actor, preference_space, card = load_policy(folder)
     config = card["config"]
     scene = config.get("evaluation", {}).get("scene", config["env"]["scene"])
     env = make_policy_env(
-        PreferenceSampler(space, seed=0), num_envs=3, scene=scene, seed=0, **observed_by(card)
+        PreferenceSampler(preference_space, seed=0),
+        num_envs=3,
+        scene=scene,
+        seed=0,
+        **observed_by(card),
     )
     with torch.no_grad():
         rollout = env.rollout(5, actor, break_when_any_done=False)

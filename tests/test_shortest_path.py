@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from envs import HUMAN_RADIUS, SCENES
-from envs.geometry import point_box_distance
-from envs.shortest_path import shortest_path_length
+from torchrl_morl.evaluation.shortest_path import shortest_path_length
+from torchrl_morl.geometry import point_box_distance
 
 START, GOAL = torch.tensor([[0.0, 0.0]]), torch.tensor([[4.0, 0.0]])
 NOTHING = torch.zeros(1, 0, 5)

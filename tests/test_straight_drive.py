@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from envs import NavigationEnv
-from envs.policy_env import OBSERVATION_SIZE
 from envs.straight_drive import StraightDriveValue
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
 
 OBJECTIVES = ("core", "demo", "distance", "efficiency")
 

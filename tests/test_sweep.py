@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from envs import NavigationEnv, Perturbation
-from envs.demonstrator import CircleDemonstrator
+from envs import Faults, NavigationEnv
+from envs.demonstrations import CircleDemonstrator
 from recipes.sweep import edge, sweep
 from tests._sweeps import BEND, DEMO_SPACE, SPACE
 
@@ -106,7 +106,7 @@ def test_faults_of_the_robot_do_not_change_what_it_was_shown(demonstrated):
         episodes=4,
         seed=3,
         demonstrator=CircleDemonstrator(),
-        perturbation=Perturbation(velocity_noise=0.2, latency=1),
+        faults=Faults(velocity_noise=0.2, latency=1),
         num_threads=1,
     )
     shown, before = faulty.demonstration, demonstrated.demonstration[:4]

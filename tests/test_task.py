@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from envs import HUMAN_RADIUS
-from envs.geometry import point_box_distance
-from envs.task import NavigationTask
+from envs.navigation_task import NavigationTask
+from torchrl_morl.geometry import point_box_distance
 
 ROBOT_RADIUS, GOAL_RADIUS = 0.2, 0.3
 

@@ -14,13 +14,16 @@ from torchrl.envs.utils import check_env_specs
 
 from tests._transform_base import SPACE, TransformTests, make_env, parallel
 from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.segments import PreferenceSegments
 from torchrl_morl.transforms import LidarMinPool, PreferenceSampler
 
 THREE = PreferenceSpace(("a", "b", "c"))
 
 
-def sampled(batch_size=(4,), space=SPACE, **kwargs) -> TransformedEnv:
-    return TransformedEnv(make_env(batch_size=batch_size), PreferenceSampler(space, **kwargs))
+def sampled(batch_size=(4,), preference_space=SPACE, **kwargs) -> TransformedEnv:
+    return TransformedEnv(
+        make_env(batch_size=batch_size), PreferenceSampler(preference_space, **kwargs)
+    )
 
 
 class TestPreferenceSampler(TransformTests):
@@ -177,9 +180,9 @@ class TestUserPreferences:
 
 class TestSegmentsAndFixed:
     def test_env_draws_from_its_segment(self):
-        env = sampled((7,), space=THREE, num_segments=3, seed=0)
+        env = sampled((7,), preference_space=THREE, num_segments=3, seed=0)
         data = env.rollout(40, break_when_any_done=False)
-        index = THREE.segments(3).index(data["preference"])
+        index = PreferenceSegments(THREE, 3).index(data["preference"])
         assert torch.equal(index, (torch.arange(7) % 3).unsqueeze(-1).expand(7, 40))
         assert data["preference"][0].unique(dim=0).shape[0] > 4
 
@@ -216,13 +219,13 @@ class TestSegmentsAndFixed:
         with pytest.raises(ValueError, match="2 fixed preferences do not fit a batch of 4"):
             env.reset()
         with pytest.raises(ValueError, match="'uniform'"):
-            PreferenceSampler(SPACE, law="uniform")
+            PreferenceSampler(SPACE, distribution="uniform")
         with pytest.raises(ValueError, match="num_segments"):
             PreferenceSampler(SPACE, num_segments=0)
 
 
 class TestRandomness:
-    @pytest.mark.parametrize("kwargs", [{}, {"num_segments": 4}, {"law": "abs_normal"}])
+    @pytest.mark.parametrize("kwargs", [{}, {"num_segments": 4}, {"distribution": "abs_normal"}])
     def test_seed(self, kwargs):
         draws = []
         for seed in (1, 1, 2):
@@ -245,9 +248,9 @@ class TestRandomness:
             draws.append(PreferenceSampler(SPACE)(TensorDict(batch_size=[3]))["preference"])
         assert torch.equal(*draws)
 
-    def test_law(self):
-        for law, expected in (("dirichlet", 0.1), ("abs_normal", 0.07)):
-            sampler = PreferenceSampler(SPACE, law=law, seed=0)
+    def test_distribution(self):
+        for distribution, expected in (("dirichlet", 0.1), ("abs_normal", 0.07)):
+            sampler = PreferenceSampler(SPACE, distribution=distribution, seed=0)
             value = sampler(TensorDict(batch_size=[40_000]))["preference"][:, 0]
             # |n_0| > 9 |n_1| has probability 2 / pi * atan(1 / 9) = 0.07.
             assert (value > 0.9).float().mean().item() == pytest.approx(expected, abs=6e-3)

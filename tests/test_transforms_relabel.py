@@ -135,10 +135,12 @@ class TestPreferenceRelabel(TransformTests):
         data = transitions(10)
         assert (self.make_transform().inv(data) == data).all()
 
-    @pytest.mark.parametrize("law", ["dirichlet", "abs_normal"])
-    def test_law(self, law):
-        value = PreferenceRelabel(SPACE, 1.0, law=law, seed=0)(transitions(40_000))["preference"]
-        expected = {"dirichlet": 0.1, "abs_normal": 0.07}[law]
+    @pytest.mark.parametrize("distribution", ["dirichlet", "abs_normal"])
+    def test_distribution(self, distribution):
+        value = PreferenceRelabel(SPACE, 1.0, distribution=distribution, seed=0)(
+            transitions(40_000)
+        )["preference"]
+        expected = {"dirichlet": 0.1, "abs_normal": 0.07}[distribution]
         assert (value[:, 0] > 0.9).float().mean().item() == pytest.approx(expected, abs=6e-3)
 
     def test_seed_and_state_dict(self):
@@ -167,7 +169,7 @@ class TestPreferenceRelabel(TransformTests):
             with pytest.raises(ValueError, match=f"got {ratio}"):
                 PreferenceRelabel(SPACE, ratio)
         with pytest.raises(ValueError, match="'uniform'"):
-            PreferenceRelabel(SPACE, law="uniform")
+            PreferenceRelabel(SPACE, distribution="uniform")
 
 
 class TestPreferenceExpand(TransformTests):

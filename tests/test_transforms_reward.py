@@ -110,18 +110,21 @@ class TestScalarizeReward(TransformTests):
         assert (ScalarizeReward(SPACE).inv(data) == data).all()
 
     def test_static_weights(self):
-        space = PreferenceSpace(("a", "b"), static={"a": -2.0})
+        preference_space = PreferenceSpace(("a", "b"), static={"a": -2.0})
         data = TensorDict(preference=torch.ones(1), reward=torch.tensor([3.0, 5.0]))
-        assert ScalarizeReward(space)(data)["scalar_reward"].tolist() == [-1.0]
+        assert ScalarizeReward(preference_space)(data)["scalar_reward"].tolist() == [-1.0]
 
     def test_invalid(self):
-        space = PreferenceSpace(("a", "b"))
-        env = TransformedEnv(make_env(), Compose(PreferenceSampler(space), ScalarizeReward(space)))
+        preference_space = PreferenceSpace(("a", "b"))
+        env = TransformedEnv(
+            make_env(),
+            Compose(PreferenceSampler(preference_space), ScalarizeReward(preference_space)),
+        )
         with pytest.raises(ValueError, match=r"'reward' has 3 entries, but there are 2 objectives"):
             env.rollout(2)
         data = TensorDict(preference=torch.ones(2) / 2, reward=torch.ones(1))
         with pytest.raises(ValueError, match="1 entries"):
-            ScalarizeReward(space)(data)
+            ScalarizeReward(preference_space)(data)
         with pytest.raises(KeyError, match="preference"):
             TransformedEnv(make_env(), ScalarizeReward(SPACE)).rollout(2)
         with pytest.raises(ValueError, match="2 in_keys but 1 out_keys"):

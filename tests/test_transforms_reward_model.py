@@ -79,12 +79,16 @@ class TestRewardModelReward(TransformTests):
         assert ((after[..., position] >= -2) & (after[..., position] <= 0)).all()
 
     def test_transform_compose(self):
-        space = PreferenceSpace(("core", "demo", "distance", "efficiency"), static={"core": 1.0})
-        both = Compose(self.make_transform(), ScalarizeReward(space))
+        preference_space = PreferenceSpace(
+            ("core", "demo", "distance", "efficiency"), static={"core": 1.0}
+        )
+        both = Compose(self.make_transform(), ScalarizeReward(preference_space))
         data = transitions(5)
-        data["preference"] = space.sample(5)
+        data["preference"] = preference_space.sample(5)
         data = both(data)
-        expected = (space.weights(data["preference"]) * data["next", "reward"]).sum(-1, True)
+        expected = (preference_space.weights(data["preference"]) * data["next", "reward"]).sum(
+            -1, True
+        )
         assert torch.allclose(data["next", "scalar_reward"], expected)
         assert (data["next", "reward"][..., 1] < 0).all()
 
@@ -167,10 +171,10 @@ class TestRewardModelReward(TransformTests):
 
     def test_a_preference_may_be_an_input(self):
         # Written by another transform, and already a state.
-        space = PreferenceSpace(("a", "b"))
+        preference_space = PreferenceSpace(("a", "b"))
         model = RewardModel(in_features=4, in_keys=["observation", "preference"], num_cells=(8,))
         env = TransformedEnv(
-            make_env(), Compose(PreferenceSampler(space), RewardModelReward(model))
+            make_env(), Compose(PreferenceSampler(preference_space), RewardModelReward(model))
         )
         check_env_specs(env)
         data = env.rollout(4)

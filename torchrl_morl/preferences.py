@@ -11,17 +11,14 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from torchrl_morl.segments import PreferenceSegments
+__all__ = ["PreferenceSpace", "SamplingDistribution", "check_distribution"]
 
-__all__ = ["PreferenceSpace", "SamplingLaw"]
-
-SamplingLaw = Literal["dirichlet", "abs_normal", "jeffreys"]
+SamplingDistribution = Literal["dirichlet", "abs_normal", "jeffreys"]
 
 
 @dataclass(frozen=True)
@@ -139,7 +136,7 @@ class PreferenceSpace:
         preference = torch.as_tensor(preference)
         if not preference.is_floating_point():
             preference = preference.to(torch.get_default_dtype())
-        self._check_shape(preference)
+        self.check_shape(preference)
         invalid = ~(preference.isfinite() & (preference >= 0))
         if invalid.any():
             position = tuple(invalid.nonzero()[0].tolist())
@@ -175,7 +172,7 @@ class PreferenceSpace:
             ValueError: if the last dimension of the preference is not ``T``.
 
         """
-        self._check_shape(preference)
+        self.check_shape(preference)
         static = dict(self.static)
         tunable = iter(preference.unbind(-1))
         columns = [
@@ -189,7 +186,7 @@ class PreferenceSpace:
     def sample(
         self,
         shape: int | Iterable[int] = (),
-        law: SamplingLaw = "dirichlet",
+        distribution: SamplingDistribution = "dirichlet",
         generator: torch.Generator | None = None,
         device: torch.device | str | None = None,
     ) -> Tensor:
@@ -197,7 +194,7 @@ class PreferenceSpace:
 
         Args:
             shape (int or Iterable[int]): the batch shape ``*B``.
-            law (str): ``"dirichlet"`` is uniform on the simplex. ``"abs_normal"`` is the absolute
+            distribution (str): ``"dirichlet"`` is uniform on the simplex. ``"abs_normal"`` is the absolute
                 value of a standard normal vector divided by its sum, as in the code of PD-MORL
                 (https://arxiv.org/abs/2208.07914): denser in the middle, rarer at the corners (the
                 density is proportional to the Euclidean norm to the power ``-T``). ``"jeffreys"`` is
@@ -211,7 +208,7 @@ class PreferenceSpace:
             Preferences of shape ``[*B, T]``.
 
         Raises:
-            ValueError: if the law is unknown.
+            ValueError: if the distribution is unknown.
 
         Example:
             >>> import torch
@@ -221,18 +218,18 @@ class PreferenceSpace:
             (torch.Size([4, 2, 3]), True)
 
         """
-        _check_law(law)
+        check_distribution(distribution)
         shape = (shape,) if isinstance(shape, int) else tuple(shape)
         if device is None and generator is not None:
             device = generator.device
         size = (*shape, self.num_tunable)
         if self.num_tunable == 1:
             return torch.ones(size, device=device)
-        if law == "dirichlet":
+        if distribution == "dirichlet":
             value = torch.empty(size, device=device).exponential_(generator=generator)
         else:
             value = torch.randn(size, generator=generator, device=device).abs()
-            if law == "jeffreys":
+            if distribution == "jeffreys":
                 value = value.square()
         return value / value.sum(-1, keepdim=True)
 
@@ -315,13 +312,8 @@ class PreferenceSpace:
             row[:, second] = rise.flip(0)
         return grid.flatten(0, 1)
 
-    def segments(self, num_segments: int) -> PreferenceSegments:
-        """Cut the simplex in cells of equal probability, see :class:`~torchrl_morl.segments.PreferenceSegments`."""
-        from torchrl_morl.segments import PreferenceSegments  # which imports this module
-
-        return PreferenceSegments(self, num_segments)
-
-    def _check_shape(self, preference: Tensor) -> None:
+    def check_shape(self, preference: Tensor) -> None:
+        """Raise ``ValueError`` unless the last dimension has one entry per tunable objective."""
         if preference.ndim == 0 or preference.shape[-1] != self.num_tunable:
             raise ValueError(
                 f"preference must have shape [..., {self.num_tunable}] for the tunable objectives "
@@ -329,6 +321,9 @@ class PreferenceSpace:
             )
 
 
-def _check_law(law: str) -> None:
-    if law not in get_args(SamplingLaw):
-        raise ValueError(f"law must be one of {get_args(SamplingLaw)}, got {law!r}.")
+def check_distribution(distribution: str) -> None:
+    """Raise ``ValueError`` for what is not a :data:`SamplingDistribution`."""
+    if distribution not in get_args(SamplingDistribution):
+        raise ValueError(
+            f"distribution must be one of {get_args(SamplingDistribution)}, got {distribution!r}."
+        )

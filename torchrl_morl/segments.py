@@ -8,14 +8,14 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from torchrl_morl.preferences import PreferenceSpace, SamplingLaw, _check_law
+from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution, check_distribution
 
 __all__ = ["PreferenceSegments"]
 
 
 @dataclass(frozen=True)
 class PreferenceSegments:
-    """A partition of the simplex in ``C_p`` cells of equal probability under the Dirichlet(1) law.
+    """A partition of the simplex in ``C_p`` cells of equal probability under Dirichlet(1).
 
     PD-MORL (https://arxiv.org/abs/2208.07914) gives every parallel environment its own part of the
     preference space, so that one batch always covers all of it. Its code cuts a sorted grid into
@@ -32,7 +32,7 @@ class PreferenceSegments:
     - ``T = 1``: the simplex is one point, which every segment is; its index is 0.
 
     Args:
-        space (PreferenceSpace): the space to cut.
+        preference_space (PreferenceSpace): the space to cut.
         num_segments (int): the number ``C_p`` of cells, at least one.
 
     Raises:
@@ -40,7 +40,7 @@ class PreferenceSegments:
 
     Example:
         >>> import torch
-        >>> segments = PreferenceSpace(("demo", "distance", "efficiency")).segments(3)
+        >>> segments = PreferenceSegments(PreferenceSpace(("demo", "distance", "efficiency")), 3)
         >>> segments.index(torch.tensor([[0.8, 0.1, 0.1], [0.2, 0.3, 0.5]]))
         tensor([0, 2])
         >>> segments.index(segments.sample(torch.tensor([0, 1, 2, 0])))
@@ -48,7 +48,7 @@ class PreferenceSegments:
 
     """
 
-    space: PreferenceSpace
+    preference_space: PreferenceSpace
     num_segments: int
 
     def __post_init__(self) -> None:
@@ -65,8 +65,8 @@ class PreferenceSegments:
             Indices in ``[0, C_p)`` of shape ``[*B]``, dtype long.
 
         """
-        self.space._check_shape(preference)
-        if self.num_segments == self.space.num_tunable:
+        self.preference_space.check_shape(preference)
+        if self.num_segments == self.preference_space.num_tunable:
             return preference.argmax(-1)
         cube = _simplex_to_cube(preference.double()).unsqueeze(-2)
         lower, upper = self._boxes(preference.device)
@@ -78,14 +78,14 @@ class PreferenceSegments:
     def sample(
         self,
         segment_index: Tensor,
-        law: SamplingLaw = "dirichlet",
+        distribution: SamplingDistribution = "dirichlet",
         generator: torch.Generator | None = None,
     ) -> Tensor:
         """Draw one preference from each of the given cells.
 
         Args:
             segment_index (Tensor): cells in ``[0, C_p)``, of shape ``[*B]`` and dtype long.
-            law (str): the law to condition on the cell, see :meth:`PreferenceSpace.sample`.
+            distribution (str): the one to condition on the cell, see :meth:`PreferenceSpace.sample`.
             generator (torch.Generator, optional): the source of randomness, on the device of
                 ``segment_index``.
 
@@ -93,26 +93,30 @@ class PreferenceSegments:
             Preferences of shape ``[*B, T]`` on the device of ``segment_index``.
 
         Raises:
-            ValueError: if the law is unknown.
+            ValueError: if the distribution is unknown.
 
         """
-        _check_law(law)
-        size = self.space.num_tunable
+        check_distribution(distribution)
+        size = self.preference_space.num_tunable
         if size == 1 or self.num_segments == 1:
-            return self.space.sample(segment_index.shape, law, generator, segment_index.device)
+            return self.preference_space.sample(
+                segment_index.shape, distribution, generator, segment_index.device
+            )
         if self.num_segments == size:
             # All laws are exchangeable, so swapping the largest entry with the wanted one leaves
-            # the law within the cell.
-            drawn = self.space.sample(segment_index.shape, law, generator, segment_index.device)
+            # the distribution within the cell.
+            drawn = self.preference_space.sample(
+                segment_index.shape, distribution, generator, segment_index.device
+            )
             wanted = segment_index.unsqueeze(-1)
             largest = drawn.argmax(-1, keepdim=True)
             swapped = drawn.scatter(-1, largest, drawn.gather(-1, wanted))
             return swapped.scatter(-1, wanted, drawn.gather(-1, largest))
         flat = segment_index.flatten()
-        if law == "dirichlet":
+        if distribution == "dirichlet":
             preference = self._sample_boxes(flat, generator).to(torch.get_default_dtype())
         else:
-            preference = self._sample_rejecting(flat, law, generator)
+            preference = self._sample_rejecting(flat, distribution, generator)
         return preference.reshape(*segment_index.shape, size)
 
     def _sample_boxes(self, flat_index: Tensor, generator: torch.Generator | None) -> Tensor:
@@ -124,20 +128,27 @@ class PreferenceSegments:
         return _cube_to_simplex(lower + (upper - lower) * uniform)
 
     def _sample_rejecting(
-        self, flat_index: Tensor, law: SamplingLaw, generator: torch.Generator | None
+        self,
+        flat_index: Tensor,
+        distribution: SamplingDistribution,
+        generator: torch.Generator | None,
     ) -> Tensor:
         # Draw from the whole simplex until every row has hit its cell.
-        preference = self.space.sample(len(flat_index), law, generator, flat_index.device)
+        preference = self.preference_space.sample(
+            len(flat_index), distribution, generator, flat_index.device
+        )
         pending = torch.arange(len(flat_index), device=flat_index.device)
         while True:
             pending = pending[self.index(preference[pending]) != flat_index[pending]]
             if not len(pending):
                 return preference
-            preference[pending] = self.space.sample(len(pending), law, generator, flat_index.device)
+            preference[pending] = self.preference_space.sample(
+                len(pending), distribution, generator, flat_index.device
+            )
 
     def _boxes(self, device: torch.device) -> tuple[Tensor, Tensor]:
         boxes = torch.tensor(
-            _equal_boxes(self.space.num_tunable - 1, self.num_segments),
+            _equal_boxes(self.preference_space.num_tunable - 1, self.num_segments),
             dtype=torch.double,
             device=device,
         ).reshape(self.num_segments, 2, -1)

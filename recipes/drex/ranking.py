@@ -11,9 +11,10 @@ import tqdm
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
-from envs.policy_env import PARTS, observation_parts, observation_size, observed
+from envs.policy_env import observation_size, observed
 from torchrl_morl.data import RankedSnippets
 from torchrl_morl.deploy import save_reward_model
+from torchrl_morl.deploy.features import PARTS, observation_parts
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.objectives import BradleyTerryLoss
 

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from envs import NavigationEnv
-from envs.demonstrator import Driver, demonstrated_paths
+from envs.demonstrations import Driver, demonstrated_paths
 from envs.policy_env import simulated
 
 from .utils import frechet

@@ -17,18 +17,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from envs import HUMAN_RADIUS
-from envs.geometry import wrap_angle
-from envs.policy_env import (
-    GOAL_SCALE,
-    HUMAN_SCALE,
-    NUM_SECTORS,
-    LogRange,
-    observation_size,
-)
+from envs.policy_env import observation_size
 from envs.robots import get_robot
+from torchrl_morl.deploy.features import GOAL_SCALE, HUMAN_SCALE, NUM_SECTORS
 from torchrl_morl.evaluation import steerability
-from torchrl_morl.geometry import rotate
+from torchrl_morl.geometry import rotate, wrap_angle
 from torchrl_morl.modules import RewardModel
+from torchrl_morl.transforms import LogRange
 
 from . import ranking, styles, utils
 

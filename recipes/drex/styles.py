@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from envs.demonstrator import DetourDriver, Driver, StraightDriver
+from envs.demonstrations import DetourDriver, Driver, StraightDriver
 from torchrl_morl.modules import RewardModel
 
 from .recorded import distance_from_recorded

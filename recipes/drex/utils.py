@@ -18,7 +18,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import BCLoss
 
 from envs import NavigationEnv
-from envs.demonstrator import CircleDemonstrator, demonstrated_paths
+from envs.demonstrations import CircleDemonstrator, demonstrated_paths
 from envs.metrics import trajectories
 from envs.policy_env import make_policy_env, observation_size, simulated
 from torchrl_morl.data import load_demonstrations
@@ -168,18 +168,20 @@ def save_clone(
     folder: Path, cfg: DictConfig, policy: TensorDictSequential, card: dict[str, Any]
 ) -> None:
     """Write the clone as a policy that every evaluation opens: it does the same for all preferences."""
-    space = make_preference_space(with_demonstrations=True)
+    preference_space = make_preference_space(with_demonstrations=True)
     size = observation_size(cfg.env)
     num_cells = tuple(cfg.cloning.num_cells)
-    actor = make_actor(ACTION_SPEC, in_features=size + space.num_tunable, num_cells=num_cells)
+    actor = make_actor(
+        ACTION_SPEC, in_features=size + preference_space.num_tunable, num_cells=num_cells
+    )
     weights = policy.state_dict()
     first = "module.0.module.0.weight"
-    weights[first] = F.pad(weights[first], (0, space.num_tunable))
+    weights[first] = F.pad(weights[first], (0, preference_space.num_tunable))
     actor.load_state_dict(weights)
     save_policy(
         folder,
         actor,
-        space=space,
+        preference_space=preference_space,
         observation_size=size,
         action_size=ACTION_SPEC.shape[-1],
         num_cells=num_cells,
@@ -251,7 +253,7 @@ def demonstrator(cfg: DictConfig, **changes: Any) -> CircleDemonstrator:
 
 
 def demonstrator_arguments(cfg: DictConfig) -> dict[str, Any]:
-    """Of :class:`envs.demonstrator.CircleDemonstrator`."""
+    """Of :class:`envs.demonstrations.CircleDemonstrator`."""
     section = cfg.demonstrations
     return {
         "radius": section.radius,

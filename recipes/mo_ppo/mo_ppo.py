@@ -33,11 +33,11 @@ from . import penalties, utils
 @hydra.main(version_base="1.3", config_path="", config_name="config")
 def main(cfg: DictConfig) -> None:
     """Polish a policy, evaluate it on the way, and save what is evaluated."""
-    start, space, card = load_policy(cfg.policy, device=cfg.device)
+    start, preference_space, card = load_policy(cfg.policy, device=cfg.device)
     cfg = utils.complete(cfg, card)
     utils.check(cfg)
     task = make_task(cfg)
-    utils.check_start(cfg, task, start, space)
+    utils.check_start(cfg, task, start, preference_space)
 
     # The policy is noise around the actor; the noise is all that PPO adds to it.
     actor = copy.deepcopy(start).requires_grad_(True)
@@ -56,7 +56,11 @@ def main(cfg: DictConfig) -> None:
     cfg.compute.bfloat16 = use_bfloat16(cfg.compute.bfloat16, task.device)
     precision = torch.autocast(task.device.type, torch.bfloat16, enabled=cfg.compute.bfloat16)
     env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
-    demo = task.space.tunable.index("demo") if "demo" in task.space.tunable else None
+    demo = (
+        task.preference_space.tunable.index("demo")
+        if "demo" in task.preference_space.tunable
+        else None
+    )
     # Nothing is written before the configuration has been accepted.
     files.write_run_info(task.run_dir)
     loggers = make_loggers(cfg, task.run_dir)
@@ -125,7 +129,7 @@ def main(cfg: DictConfig) -> None:
         if last or crossed(cfg.evaluation.interval, collected, frames):
             with timeit("evaluate"):
                 result = evaluation.evaluate(
-                    cfg, task.eval_env, averaged.module, task.space, task.demonstration
+                    cfg, task.eval_env, averaged.module, task.preference_space, task.demonstration
                 )
             log_metrics(loggers, result.metrics, frames)
             # What goes on from the end has a schedule of its own.

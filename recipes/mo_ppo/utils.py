@@ -119,20 +119,22 @@ def complete(cfg: DictConfig, card: dict[str, Any]) -> DictConfig:
 
 
 def check_start(
-    cfg: DictConfig, task: Task, start: TensorDictSequential, space: PreferenceSpace
+    cfg: DictConfig, task: Task, start: TensorDictSequential, preference_space: PreferenceSpace
 ) -> None:
     """Refuse a policy that does not fit the task.
 
     Raises:
         ValueError: if it has other objectives, or observes something else.
     """
-    if space != task.space:
+    if preference_space != task.preference_space:
         raise ValueError(
-            f"{cfg.policy} has the objectives {space.objectives}, the task {task.space.objectives}: "
+            f"{cfg.policy} has the objectives {preference_space.objectives}, the task {task.preference_space.objectives}: "
             "demonstrations.reward_model must name the reward model that the policy was trained "
             "with, if there was one."
         )
-    pd_morl.check_observation(cfg, cfg.policy, start[0].module[0].in_features - space.num_tunable)
+    pd_morl.check_observation(
+        cfg, cfg.policy, start[0].module[0].in_features - preference_space.num_tunable
+    )
 
 
 def resume(cfg: DictConfig, state: Checkpoint) -> tuple[int, int]:
@@ -209,15 +211,15 @@ def make_policy(
 def make_critic(cfg: DictConfig, task: Task) -> TensorDictModule:
     """One state value per objective; as in PD-MORL what is left of the value of straight driving."""
     critic = make_vector_critic(
-        task.space.num_objectives,
-        in_features=observation_size(cfg.env) + task.space.num_tunable,
+        task.preference_space.num_objectives,
+        in_features=observation_size(cfg.env) + task.preference_space.num_tunable,
         in_keys=("observation", "preference"),
         num_cells=cfg.network.num_cells,
         layer_norm=cfg.network.critic_layer_norm,
         out_key="state_value",
         device=task.device,
     )
-    value = pd_morl.make_straight_drive_value(cfg, task.space)
+    value = pd_morl.make_straight_drive_value(cfg, task.preference_space)
     return pd_morl.add_straight_drive(critic, value, ["observation"])
 
 
@@ -226,7 +228,7 @@ def make_advantage(cfg: DictConfig, task: Task, critic: TensorDictModule) -> Mul
         gamma=cfg.loss.gamma,
         lmbda=cfg.loss.lmbda,
         value_network=critic,
-        preference_space=task.space,
+        preference_space=task.preference_space,
         level_preferences=cfg.loss.level_preferences,
         value_chunk_size=ENVS_AT_ONCE,
         deactivate_vmap=True,
@@ -326,7 +328,7 @@ def save(
         task.run_dir / "policies" / f"{frames:09d}",
         cfg,
         actor,
-        task.space,
+        task.preference_space,
         result,
         task.demo_card,
         num_cells=tuple(m.out_features for m in actor[0].module if isinstance(m, nn.Linear))[:-1],

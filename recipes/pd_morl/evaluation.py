@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from envs import NavigationEnv
-from envs.demonstrator import CircleDemonstrator, demonstrated_paths
+from envs.demonstrations import CircleDemonstrator, demonstrated_paths
 from envs.metrics import episode_metrics, trajectories
 from envs.policy_env import simulated
 from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
@@ -62,10 +62,10 @@ def evaluate(
     cfg: DictConfig,
     env: EnvBase,
     actor: TensorDictModule,
-    space: PreferenceSpace,
+    preference_space: PreferenceSpace,
     demonstration: TensorDict | None,
 ) -> Evaluation:
-    corners = space.corners()
+    corners = preference_space.corners()
     preferences = torch.cat((corners, corners.mean(0, keepdim=True)))
     data = rollout_preferences(
         env, actor, preferences, max_steps=cfg.env.max_episode_steps, seed=cfg.evaluation.seed
@@ -73,7 +73,7 @@ def evaluate(
     mask, metrics = data["mask"], episode_metrics(data)
     reward = cfg.replay_buffer.reward_scale * data["next", "reward"]
     returns = (reward * mask.unsqueeze(-1)).sum(-2)  # [P, N, K]
-    utility = (space.weights(preferences).unsqueeze(1) * returns).sum(-1)
+    utility = (preference_space.weights(preferences).unsqueeze(1) * returns).sum(-1)
     collision = metrics["collision_human"] | metrics["collision_obstacle"]
     saturated = (data["action"].abs() > 0.99).float().mean(-1)
     columns = {
@@ -92,9 +92,9 @@ def evaluate(
         columns["frechet"] = frechet[:, demonstration["free"]].mean(-1)
         columns["frechet all"] = frechet.mean(-1)
     return Evaluation(
-        names=(*space.tunable, "balanced"),
+        names=(*preference_space.tunable, "balanced"),
         columns={name: values.tolist() for name, values in columns.items()},
-        key_solutions=returns[: len(corners)].mean(1)[:, list(space.tunable_indices)],
+        key_solutions=returns[: len(corners)].mean(1)[:, list(preference_space.tunable_indices)],
         score=utility.mean().item(),
     )
 

@@ -63,7 +63,7 @@ def save_training_policy(
     folder: Path,
     cfg: DictConfig,
     actor: TensorDictModule,
-    space: PreferenceSpace,
+    preference_space: PreferenceSpace,
     result: Evaluation,
     demo_card: dict[str, Any] | None,
     *,
@@ -85,7 +85,7 @@ def save_training_policy(
     save_policy(
         folder,
         actor,
-        space=space,
+        preference_space=preference_space,
         observation_size=observation_size(cfg.env),
         action_size=2,
         num_cells=num_cells or tuple(cfg.network.num_cells),

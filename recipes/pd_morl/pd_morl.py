@@ -37,11 +37,11 @@ def main(cfg: DictConfig) -> None:
     # The agent: an actor and twin critics that read the preference, one value per objective.
     demo = utils.load_demonstration_objective(cfg)
     reward_model, demo_card = demo if demo else (None, None)
-    space = utils.make_preference_space(with_demonstrations=demo is not None)
-    env = utils.make_train_env(cfg, space, reward_model)
-    eval_env = utils.make_eval_env(cfg, space, reward_model)
-    actor, policy = utils.make_policy(cfg, env, space, device)
-    loss = utils.make_loss(cfg, env, space, actor, device)
+    preference_space = utils.make_preference_space(with_demonstrations=demo is not None)
+    env = utils.make_train_env(cfg, preference_space, reward_model)
+    eval_env = utils.make_eval_env(cfg, preference_space, reward_model)
+    actor, policy = utils.make_policy(cfg, env, preference_space, device)
+    loss = utils.make_loss(cfg, env, preference_space, actor, device)
     critic_gradients, actor_gradients = learning.make_gradients(cfg, loss)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
     averaged = AveragedModel(
@@ -49,10 +49,12 @@ def main(cfg: DictConfig) -> None:
     )
     optimizers, schedulers = learning.make_optimizers(cfg, loss)
     updates_per_batch = cfg.optim.updates_per_batch
-    replay_buffer = utils.make_replay_buffer(cfg, space, device, batches=updates_per_batch)
+    replay_buffer = utils.make_replay_buffer(
+        cfg, preference_space, device, batches=updates_per_batch
+    )
     demonstration = evaluation.demonstrated(cfg, demo_card) if demo else None
     if demo and cfg.demonstrations.dataset:
-        utils.prefill(cfg, replay_buffer, space, reward_model)
+        utils.prefill(cfg, replay_buffer, preference_space, reward_model)
     # Nothing is written before the configuration has been accepted.
     files.write_run_info(run_dir)
     loggers = utils.make_loggers(cfg, run_dir)
@@ -108,14 +110,16 @@ def main(cfg: DictConfig) -> None:
             loss.pre_tanh_coeff = utils.pre_tanh_coeff(cfg, frames)
 
         if metrics and utils.crossed(cfg.logger.interval, collected, frames):
-            utils.log_training(loggers, metrics, space, frames, updates)
+            utils.log_training(loggers, metrics, preference_space, frames, updates)
             progress.set_postfix(utils.progress_line(progress, updates, success, score))
 
         last = frames >= cfg.collector.total_frames
         if updates and (last or utils.crossed(cfg.evaluation.interval, collected, frames)):
             # Corner preferences: their returns are the key solutions of the interpolator.
             with timeit("evaluate"):
-                result = evaluation.evaluate(cfg, eval_env, averaged.module, space, demonstration)
+                result = evaluation.evaluate(
+                    cfg, eval_env, averaged.module, preference_space, demonstration
+                )
             loss.interpolator.refit(result.key_solutions, cfg.evaluation.refit_momentum)
             score, success = result.score, result.success
             utils.log_metrics(loggers, result.metrics, frames)
@@ -124,7 +128,7 @@ def main(cfg: DictConfig) -> None:
                 run_dir / "policies" / f"{frames:09d}",
                 cfg,
                 averaged.module,
-                space,
+                preference_space,
                 result,
                 demo_card,
             )

@@ -76,18 +76,21 @@ def make_preference_space(with_demonstrations: bool) -> PreferenceSpace:
 
 
 def make_train_env(
-    cfg: DictConfig, space: PreferenceSpace, reward_model: RewardModel | None
+    cfg: DictConfig, preference_space: PreferenceSpace, reward_model: RewardModel | None
 ) -> EnvBase:
     sampler = PreferenceSampler(
-        space, law=cfg.preference.law, num_segments=cfg.preference.num_segments, seed=cfg.seed
+        preference_space,
+        distribution=cfg.preference.distribution,
+        num_segments=cfg.preference.num_segments,
+        seed=cfg.seed,
     )
     return make_policy_env(sampler, reward_model=reward_model, seed=cfg.seed, **cfg.env)
 
 
 def make_eval_env(
-    cfg: DictConfig, space: PreferenceSpace, reward_model: RewardModel | None
+    cfg: DictConfig, preference_space: PreferenceSpace, reward_model: RewardModel | None
 ) -> EnvBase:
-    sampler = PreferenceSampler(space)
+    sampler = PreferenceSampler(preference_space)
     return make_policy_env(sampler, reward_model=reward_model, **evaluation_arguments(cfg))
 
 
@@ -104,13 +107,13 @@ def evaluation_arguments(cfg: DictConfig) -> dict[str, Any]:
 
 
 def make_policy(
-    cfg: DictConfig, env: EnvBase, space: PreferenceSpace, device: torch.device
+    cfg: DictConfig, env: EnvBase, preference_space: PreferenceSpace, device: torch.device
 ) -> tuple[TensorDictSequential, TensorDictSequential]:
     """The actor, and the actor followed by exploration noise, which is its last module."""
     spec = env.action_spec_unbatched
     actor = make_actor(
         spec,
-        in_features=observation_size(cfg.env) + space.num_tunable,
+        in_features=observation_size(cfg.env) + preference_space.num_tunable,
         num_cells=cfg.network.num_cells,
         device=device,
     )
@@ -125,21 +128,27 @@ def make_policy(
 
 
 def make_critic(
-    cfg: DictConfig, env: EnvBase, space: PreferenceSpace, num_values: int, device: torch.device
+    cfg: DictConfig,
+    env: EnvBase,
+    preference_space: PreferenceSpace,
+    num_values: int,
+    device: torch.device,
 ) -> TensorDictModule:
     action_size = env.action_spec_unbatched.shape[-1]
     return make_vector_critic(
         num_values,
-        in_features=observation_size(cfg.env) + space.num_tunable + action_size,
+        in_features=observation_size(cfg.env) + preference_space.num_tunable + action_size,
         num_cells=cfg.network.num_cells,
         layer_norm=cfg.network.critic_layer_norm,
         device=device,
     )
 
 
-def make_straight_drive_value(cfg: DictConfig, space: PreferenceSpace) -> StraightDriveValue:
+def make_straight_drive_value(
+    cfg: DictConfig, preference_space: PreferenceSpace
+) -> StraightDriveValue:
     return StraightDriveValue(
-        space.objectives,
+        preference_space.objectives,
         gamma=cfg.loss.gamma,
         reward_scale=cfg.replay_buffer.reward_scale,
         robot=cfg.env.robot,
@@ -162,23 +171,26 @@ def add_straight_drive(
 def make_loss(
     cfg: DictConfig,
     env: EnvBase,
-    space: PreferenceSpace,
+    preference_space: PreferenceSpace,
     actor: TensorDictModule,
     device: torch.device,
 ) -> MOTD3Loss:
     spec = env.action_spec_unbatched
-    critics = [make_critic(cfg, env, space, space.num_objectives, device) for _ in range(2)]
+    critics = [
+        make_critic(cfg, env, preference_space, preference_space.num_objectives, device)
+        for _ in range(2)
+    ]
     if cfg.network.straight_drive:
-        value = make_straight_drive_value(cfg, space)
+        value = make_straight_drive_value(cfg, preference_space)
         critics = [add_straight_drive(critic, value, ["observation"]) for critic in critics]
     loss = MOTD3Loss(
         actor,
         critics,
-        preference_space=space,
+        preference_space=preference_space,
         interpolator=PreferenceInterpolator(
-            space.corners(),
+            preference_space.corners(),
             identity=not cfg.loss.interpolated,
-            space="raw" if cfg.loss.angle == "official" else "normalized",
+            value_space=cfg.loss.angle or "normalized",
         ),
         angle=cfg.loss.angle,
         angle_coeff_actor=cfg.loss.angle_coeff_actor,
@@ -206,7 +218,7 @@ def pre_tanh_coeff(cfg: DictConfig, frames: int) -> float:
 
 
 def make_replay_buffer(
-    cfg: DictConfig, space: PreferenceSpace, device: torch.device, *, batches: int = 1
+    cfg: DictConfig, preference_space: PreferenceSpace, device: torch.device, *, batches: int = 1
 ) -> TensorDictReplayBuffer:
     """A buffer that relabels what it gives out: that many batches a sample."""
     return TensorDictReplayBuffer(
@@ -215,9 +227,9 @@ def make_replay_buffer(
         transform=Compose(
             RewardScaling(0.0, cfg.replay_buffer.reward_scale, in_keys=[("next", "reward")]),
             PreferenceRelabel(
-                space,
+                preference_space,
                 ratio=cfg.preference.relabel_ratio,
-                law=cfg.preference.relabel_law,
+                distribution=cfg.preference.relabel_distribution,
                 seed=cfg.seed,
             ),
         ),
@@ -227,7 +239,7 @@ def make_replay_buffer(
 def prefill(
     cfg: DictConfig,
     replay_buffer: TensorDictReplayBuffer,
-    space: PreferenceSpace,
+    preference_space: PreferenceSpace,
     reward_model: RewardModel,
 ) -> None:
     """Put demonstrations into the buffer: vector rewards make them experience like any other."""
@@ -235,11 +247,11 @@ def prefill(
     check_observation(cfg, cfg.demonstrations.dataset, data["observation"].shape[-1])
     data = data[: cfg.demonstrations.prefill]
     data = data[data["mask"]]
-    preference = torch.zeros(len(data), space.num_tunable)
-    preference[:, space.tunable.index("demo")] = 1.0
+    preference = torch.zeros(len(data), preference_space.num_tunable)
+    preference[:, preference_space.tunable.index("demo")] = 1.0
     data["preference"] = preference
     data["next", "preference"] = preference.clone()
-    data = RewardModelReward(reward_model, position=space.objectives.index("demo"))(data)
+    data = RewardModelReward(reward_model, position=preference_space.objectives.index("demo"))(data)
     replay_buffer.extend(data.select(*TRANSITION))
 
 
@@ -262,14 +274,14 @@ def log_metrics(loggers: list[Logger], metrics: dict[str, Any], frames: int) -> 
 def log_training(
     loggers: list[Logger],
     metrics: dict[str, Tensor],
-    space: PreferenceSpace,
+    preference_space: PreferenceSpace,
     frames: int,
     updates: int,
 ) -> None:
     flat = {"train/updates": updates}
     for name, value in metrics.items():
         if name == "q_scale":
-            for objective, scale in zip(space.objectives, value, strict=True):
+            for objective, scale in zip(preference_space.objectives, value, strict=True):
                 flat[f"train/q_scale/{objective}"] = scale
         else:
             flat[f"train/{name}"] = value.float().mean()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from envs import Perturbation
+from envs import Faults
 
 SCENE_KINDS = ("static", "moving_human", "corridor")
 
@@ -15,14 +15,14 @@ _LATENCY = {"latency": 1}
 CHANGES: dict[str, dict[str, Any]] = {
     "hsr": {"robot": "hsr"},
     "wheels": {"drive": "wheels"},
-    "sensor": {"perturbation": Perturbation(**_NOISE)},
-    "latency": {"perturbation": Perturbation(**_LATENCY)},
-    "velocity": {"perturbation": Perturbation(**_SLIP)},
-    "faults": {"perturbation": Perturbation(**_NOISE, **_SLIP, **_LATENCY)},
+    "sensor": {"faults": Faults(**_NOISE)},
+    "latency": {"faults": Faults(**_LATENCY)},
+    "velocity": {"faults": Faults(**_SLIP)},
+    "faults": {"faults": Faults(**_NOISE, **_SLIP, **_LATENCY)},
     "all": {
         "robot": "hsr",
         "drive": "wheels",
-        "perturbation": Perturbation(**_NOISE, **_SLIP, **_LATENCY),
+        "faults": Faults(**_NOISE, **_SLIP, **_LATENCY),
     },
 }
 """Arguments of :class:`envs.NavigationEnv` by name. ``faults``: 2 cm lidar noise, 2 % lost rays, 5 %
@@ -39,7 +39,7 @@ def condition(name: str) -> dict[str, Any]:
 
     Examples:
         >>> condition("corridor+wheels")
-        {'scene': 'corridor', 'robot': 'turtlebot2', 'drive': 'wheels', 'perturbation': None}
+        {'scene': 'corridor', 'robot': 'turtlebot2', 'drive': 'wheels', 'faults': None}
     """
     scene, _, change = name.partition("+")
     if not change and scene in CHANGES:
@@ -49,5 +49,5 @@ def condition(name: str) -> dict[str, Any]:
             f"Unknown condition {name!r}: one of {', '.join(SCENE_KINDS)}, a change of the static "
             f"scene ({', '.join(CHANGES)}), or both, such as moving_human+faults."
         )
-    defaults = {"scene": scene, "robot": "turtlebot2", "drive": "planar", "perturbation": None}
+    defaults = {"scene": scene, "robot": "turtlebot2", "drive": "planar", "faults": None}
     return defaults | CHANGES.get(change, {})

@@ -9,8 +9,8 @@ from torch import Tensor
 from envs import HUMAN_RADIUS, NavigationEnv
 from envs.robots import TURTLEBOT2, get_robot
 from envs.scenes import get_scene
-from envs.shortest_path import shortest_path_length
 from torchrl_morl import evaluation
+from torchrl_morl.evaluation.shortest_path import shortest_path_length
 
 from ..sweep import GOAL_RADIUS, Sweep
 

@@ -79,7 +79,7 @@ def evaluate(
         _check_same(folder, request)
         return None
     started = time.perf_counter()
-    preferences = system.space.pairwise_grid(steps)
+    preferences = system.preference_space.pairwise_grid(steps)
     if system.ignores_preference:
         preferences = preferences[:1]
     results = []
@@ -88,7 +88,7 @@ def evaluate(
         for member in system.members:
             result = sweep(
                 member.actor(arguments["robot"]),
-                system.space,
+                system.preference_space,
                 preferences,
                 episodes=episodes,
                 seed=seed,
@@ -105,7 +105,7 @@ def evaluate(
     summary = request | {
         "scene": scene,
         "ignores_preference": system.ignores_preference,
-        "objectives": list(system.space.tunable),
+        "objectives": list(system.preference_space.tunable),
         "num_preferences": len(preferences),
         "demonstration": system.demonstration,
         **summarize(values),
@@ -175,7 +175,7 @@ def _columns(
         "scene_index": [index for _, _, index in places],
         "preference_index": [row for _, row, _ in places],
     }
-    for entry, name in enumerate(system.space.tunable):
+    for entry, name in enumerate(system.preference_space.tunable):
         columns[f"preference_{name}"] = [shown[row][entry] for _, row, _ in places]
     return columns | {name: value.flatten().tolist() for name, value in values.items()}
 

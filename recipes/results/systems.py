@@ -10,7 +10,7 @@ from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
-from envs.demonstrator import CircleDemonstrator
+from envs.demonstrations import CircleDemonstrator
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
@@ -48,15 +48,15 @@ class System:
     Args:
         name: of the folder and in tables.
         members: at least one, with different seeds.
-        space: of the preferences.
-        demonstration: arguments of :class:`envs.demonstrator.CircleDemonstrator`, to which the
+        preference_space: of the preferences.
+        demonstration: arguments of :class:`envs.demonstrations.CircleDemonstrator`, to which the
             Frechet distance is measured; the default is the circle of the paper.
         ignores_preference: the preference changes nothing, as for a policy of the core reward.
     """
 
     name: str
     members: tuple[Member, ...]
-    space: PreferenceSpace = SPACE
+    preference_space: PreferenceSpace = SPACE
     demonstration: dict[str, Any] = dataclasses.field(default_factory=dict)
     ignores_preference: bool = False
 
@@ -88,7 +88,7 @@ def untrained(
         ignores_preference: whether it does.
 
     Examples:
-        >>> from envs.demonstrator import StraightDriver
+        >>> from envs.demonstrations import StraightDriver
         >>> untrained("straight", lambda robot: StraightDriver(robot=robot, scaled=True)).name
         'straight'
     """
@@ -118,18 +118,18 @@ def load_system(argument: str) -> System:
     policies = [load_policy(path) for path in paths]
     seeds = _seeds([card for _, _, card in policies])
     members, facts = [], []
-    for folder, seed, (actor, space, card) in zip(paths, seeds, policies, strict=True):
+    for folder, seed, (actor, preference_space, card) in zip(paths, seeds, policies, strict=True):
         digest = hashlib.sha256((folder / "policy.safetensors").read_bytes()).hexdigest()
         source = f"{folder} sha256 {digest[:16]}"
         members.append(Member(seed, lambda _, actor=actor: actor, source, observed_by(card)))
         shown = {key: v for key, v in card.get("demonstrator", {}).items() if key != "robot"}
-        facts.append((space, shown, card.get("preference") == "ignored"))
+        facts.append((preference_space, shown, card.get("preference") == "ignored"))
     if any(fact != facts[0] for fact in facts):
         raise ValueError(
             f"{name}: the policies differ in more than their seed (objectives, demonstration)."
         )
-    space, shown, ignored = facts[0]
-    return System(name, tuple(members), space, shown, ignored)
+    preference_space, shown, ignored = facts[0]
+    return System(name, tuple(members), preference_space, shown, ignored)
 
 
 def _seeds(cards: list[dict[str, Any]]) -> list[int]:

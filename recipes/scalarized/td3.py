@@ -32,9 +32,9 @@ def main(cfg: DictConfig) -> None:
         task = utils.core_only(task)
     replay_buffer = utils.make_replay_buffer(cfg, task)
 
-    actor, policy = make_policy(cfg, task.env, task.space, task.device)
+    actor, policy = make_policy(cfg, task.env, task.preference_space, task.device)
     if cfg.objective == "core":
-        utils.cut_off_preference(actor, task.space)
+        utils.cut_off_preference(actor, task.preference_space)
     loss = utils.make_td3_loss(cfg, task, actor)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
     averaged = make_averaged(cfg, actor)

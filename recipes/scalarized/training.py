@@ -89,21 +89,27 @@ def train(
                 scheduler.step()
 
         if metrics and utils.crossed(cfg.logger.interval, collected, frames):
-            utils.log_training(loggers, metrics, task.space, frames, updates)
+            utils.log_training(loggers, metrics, task.preference_space, frames, updates)
             progress.set_postfix(utils.progress_line(progress, updates, success, score))
 
         last = frames >= cfg.collector.total_frames
         if updates and (last or utils.crossed(cfg.evaluation.interval, collected, frames)):
             with timeit("evaluate"):
                 result = evaluation.evaluate(
-                    cfg, task.eval_env, averaged.module, task.space, task.demonstration
+                    cfg, task.eval_env, averaged.module, task.preference_space, task.demonstration
                 )
             score, success = result.score, result.success
             utils.log_metrics(loggers, result.metrics, frames)
             checkpoints.save(Checkpoint(**state), step=frames, metadata={"score": score})
             folder = task.run_dir / "policies" / f"{frames:09d}"
             files.save_training_policy(
-                folder, cfg, averaged.module, task.space, result, task.demo_card, **task.facts
+                folder,
+                cfg,
+                averaged.module,
+                task.preference_space,
+                result,
+                task.demo_card,
+                **task.facts,
             )
             tqdm.tqdm.write(result.table(frames))
     progress.close()

@@ -30,8 +30,10 @@ class CoreSpace(PreferenceSpace):
 
 def core_only(task: Task) -> Task:
     """The same task with rewards, and scores of the evaluation, that no preference changes."""
-    space = CoreSpace(task.space.objectives, task.space.static)
-    return dataclasses.replace(task, space=space, facts={"preference": "ignored"})
+    preference_space = CoreSpace(task.preference_space.objectives, task.preference_space.static)
+    return dataclasses.replace(
+        task, preference_space=preference_space, facts={"preference": "ignored"}
+    )
 
 
 def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
@@ -40,22 +42,22 @@ def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
     In a :class:`CoreSpace` sampled preferences are zero, for :func:`cut_off_preference`.
     """
     replay_buffer = pd_morl.make_replay_buffer(
-        cfg, task.space, task.device, batches=cfg.optim.updates_per_batch
+        cfg, task.preference_space, task.device, batches=cfg.optim.updates_per_batch
     )
-    if isinstance(task.space, CoreSpace):
+    if isinstance(task.preference_space, CoreSpace):
         keys = ["preference", ("next", "preference")]
         zero = UnaryTransform(in_keys=keys, out_keys=keys, fn=torch.zeros_like)
         replay_buffer.append_transform(zero)
-    replay_buffer.append_transform(ScalarizeReward(task.space))
+    replay_buffer.append_transform(ScalarizeReward(task.preference_space))
     if cfg.demonstrations.dataset:
-        pd_morl.prefill(cfg, replay_buffer, task.space, task.reward_model)
+        pd_morl.prefill(cfg, replay_buffer, task.preference_space, task.reward_model)
     return replay_buffer
 
 
 def make_actor(cfg: DictConfig, task: Task) -> TensorDictSequential:
     return torchrl_morl.modules.make_actor(
         task.env.action_spec_unbatched,
-        in_features=observation_size(cfg.env) + task.space.num_tunable,
+        in_features=observation_size(cfg.env) + task.preference_space.num_tunable,
         num_cells=cfg.network.num_cells,
         device=task.device,
     )
@@ -105,7 +107,7 @@ class _Hidden(nn.Sequential):
         return super().forward(torch.cat(inputs, dim=-1))
 
 
-def cut_off_preference(actor: TensorDictSequential, space: PreferenceSpace) -> None:
+def cut_off_preference(actor: TensorDictSequential, preference_space: PreferenceSpace) -> None:
     """Zero what the actor's first layer makes of the preference.
 
     Trained with zero preferences these weights get no gradient and stay zero: the policy keeps the
@@ -113,7 +115,7 @@ def cut_off_preference(actor: TensorDictSequential, space: PreferenceSpace) -> N
     """
     first = actor[0].module[0]
     with torch.no_grad():
-        first.weight[:, -space.num_tunable :] = 0.0
+        first.weight[:, -preference_space.num_tunable :] = 0.0
 
 
 def make_td3_loss(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> TD3Loss:
@@ -145,7 +147,9 @@ def make_sac_loss(cfg: DictConfig, task: Task, policy: ProbabilisticActor) -> SA
 
 def _make_critics(cfg: DictConfig, task: Task) -> list[TensorDictModule]:
     """Two scalar critics: the vector critic of PD-MORL with a single value."""
-    return [pd_morl.make_critic(cfg, task.env, task.space, 1, task.device) for _ in range(2)]
+    return [
+        pd_morl.make_critic(cfg, task.env, task.preference_space, 1, task.device) for _ in range(2)
+    ]
 
 
 def _configure(cfg: DictConfig, task: Task, loss: LossModule) -> LossModule:

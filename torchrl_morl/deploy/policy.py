@@ -26,7 +26,7 @@ def save_policy(
     folder: str | Path,
     actor: TensorDictSequential,
     *,
-    space: PreferenceSpace,
+    preference_space: PreferenceSpace,
     observation_size: int,
     action_size: int,
     num_cells: tuple[int, ...],
@@ -39,7 +39,7 @@ def save_policy(
         actor: reads ``observation`` and ``preference``, writes ``action`` in [-1, 1].
 
     Keyword Args:
-        space: what the entries of the preference mean.
+        preference_space: what the entries of the preference mean.
         observation_size: entries of the observation.
         action_size: entries of the action.
         num_cells: hidden sizes.
@@ -53,8 +53,8 @@ def save_policy(
         FileExistsError: if the folder holds a policy already.
     """
     config = {
-        "objectives": list(space.objectives),
-        "static": dict(space.static),
+        "objectives": list(preference_space.objectives),
+        "static": dict(preference_space.static),
         "observation_size": observation_size,
         "action_size": action_size,
         "num_cells": list(num_cells),
@@ -83,10 +83,10 @@ def load_policy(
     """
     config = read_config(folder, _KIND, _REQUIRED)
     try:
-        space = PreferenceSpace(tuple(config["objectives"]), static=config["static"])
+        preference_space = PreferenceSpace(tuple(config["objectives"]), static=config["static"])
         actor = make_actor(
             Bounded(-1.0, 1.0, shape=(config["action_size"],)),
-            in_features=config["observation_size"] + space.num_tunable,
+            in_features=config["observation_size"] + preference_space.num_tunable,
             num_cells=tuple(config["num_cells"]),
         )
     except (TypeError, ValueError, RuntimeError) as error:
@@ -95,7 +95,7 @@ def load_policy(
     actor.requires_grad_(False).eval().to(device)
     # A hook and not a module, so that the state dict stays the one of `make_actor`.
     actor.register_forward_pre_hook(_check_inputs, with_kwargs=True)
-    return actor, space, config.get("card", {})
+    return actor, preference_space, config.get("card", {})
 
 
 def _check_inputs(actor: TensorDictSequential, args: tuple, kwargs: dict[str, Any]) -> None:

@@ -22,6 +22,7 @@ from .proximity import (
     space_violations,
 )
 from .rollout import episode_mask, rollout_preferences
+from .shortest_path import shortest_path_length
 from .statistics import TestResult, cohen_d, cohen_dz, significance_mark, t_test
 from .video import VideoLogger, write_video
 
@@ -53,6 +54,7 @@ __all__ = [
     "personal_space_compliance",
     "resample_path",
     "rollout_preferences",
+    "shortest_path_length",
     "significance_mark",
     "space_violations",
     "spl",

@@ -1,7 +1,7 @@
 """Networks and other modules for multi-objective reinforcement learning."""
 
 from torchrl_morl.modules.exploration import HeldEGreedyModule
-from torchrl_morl.modules.interpolator import PreferenceInterpolator
+from torchrl_morl.modules.interpolator import PreferenceInterpolator, ValueSpace
 from torchrl_morl.modules.networks import make_actor, make_vector_critic, saturated_fraction
 from torchrl_morl.modules.reward_model import RewardModel
 
@@ -9,6 +9,7 @@ __all__ = [
     "HeldEGreedyModule",
     "PreferenceInterpolator",
     "RewardModel",
+    "ValueSpace",
     "make_actor",
     "make_vector_critic",
     "saturated_fraction",

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-__all__ = ["PreferenceInterpolator"]
+__all__ = ["PreferenceInterpolator", "ValueSpace"]
 
-_Space = Literal["normalized", "raw"]
+ValueSpace = Literal["normalized", "raw"]
 
 # A range narrower than this share of its end points is float noise between two key solutions:
 # dividing by it would blow the normalised values up.
@@ -44,7 +44,7 @@ class PreferenceInterpolator(nn.Module):
     Keyword Args:
         identity (bool): keep the direction :math:`\lambda / |\lambda|` for good; :meth:`refit` then
             moves the normalised space only. Defaults to ``False``.
-        space (str): where directions are taken. ``"normalized"`` (default) as above. ``"raw"`` never
+        value_space (str): where directions are taken. ``"normalized"`` (default) as above. ``"raw"`` never
             normalises, as in the official code, which suits positive returns only.
 
     Buffers:
@@ -56,7 +56,7 @@ class PreferenceInterpolator(nn.Module):
 
     Raises:
         ValueError: if the key preferences are not a non-empty matrix of finite, distinct, non-zero
-            rows, or if ``space`` is unknown.
+            rows, or if ``value_space`` is unknown.
 
     Example:
         >>> import torch
@@ -85,7 +85,7 @@ class PreferenceInterpolator(nn.Module):
         key_preferences: Tensor | Sequence[Sequence[float]],
         *,
         identity: bool = False,
-        space: _Space = "normalized",
+        value_space: ValueSpace = "normalized",
     ) -> None:
         super().__init__()
         keys = torch.as_tensor(key_preferences)
@@ -100,10 +100,12 @@ class PreferenceInterpolator(nn.Module):
             raise ValueError(f"key_preferences must be finite and no row zero, got {keys}.")
         if torch.unique(keys, dim=0).shape[0] != keys.shape[0]:
             raise ValueError(f"key_preferences must be distinct, got {keys}.")
-        if space not in get_args(_Space):
-            raise ValueError(f"space must be one of {get_args(_Space)}, got {space!r}.")
+        if value_space not in get_args(ValueSpace):
+            raise ValueError(
+                f"value_space must be one of {get_args(ValueSpace)}, got {value_space!r}."
+            )
         self.identity = identity
-        self.space = space
+        self.value_space = value_space
         num_keys, num_tunable = keys.shape
         self.register_buffer("key_preferences", keys)
         self.register_buffer("key_solutions", torch.zeros_like(keys))
@@ -126,7 +128,7 @@ class PreferenceInterpolator(nn.Module):
         """Settings shown by ``repr``."""
         return (
             f"num_keys={self.num_keys}, num_tunable={self.num_tunable}, "
-            f"identity={self.identity}, space={self.space!r}"
+            f"identity={self.identity}, value_space={self.value_space!r}"
         )
 
     def forward(self, preference: Tensor) -> Tensor:
@@ -206,7 +208,7 @@ class PreferenceInterpolator(nn.Module):
         self.key_solutions.copy_(
             torch.where(self.fitted, torch.lerp(solutions, self.key_solutions, momentum), solutions)
         )
-        if self.space == "normalized":
+        if self.value_space == "normalized":
             self.low.copy_(self.key_solutions.amin(0))
             self.high.copy_(self.key_solutions.amax(0))
         self.coefficients.copy_(self._solve(self._key_directions()))

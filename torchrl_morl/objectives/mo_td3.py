@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.objectives import TD3Loss
 from torchrl.objectives.utils import _cache_values, distance_loss
 
-from torchrl_morl.modules import PreferenceInterpolator, saturated_fraction
+from torchrl_morl.modules import PreferenceInterpolator, ValueSpace, saturated_fraction
 from torchrl_morl.objectives.angle import angle_between
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MOTD3Loss"]
 
-_Angle = Literal["normalized", "official"]
+
 _TargetSelection = Literal["utility", "elementwise"]
 
 
@@ -51,8 +51,8 @@ class MOTD3Loss(TD3Loss):
 
     - ``angle="normalized"``: the values in the normalised space of the interpolator, in radians, alive
       over the whole :math:`(0, \pi)`;
-    - ``angle="official"``: the raw values, in degrees, as in the code of PD-MORL, where the
-      interpolator has ``space="raw"``. No gradient at obtuse angles, hence none for penalties.
+    - ``angle="raw"``: the raw values, in degrees, as in the code of PD-MORL, where the
+      interpolator has ``value_space="raw"`` too. No gradient at obtuse angles, hence none for penalties.
 
     Inputs that only one of the networks reads are supported. At the next state every input comes from
     ``"next"``; what is missing there, such as a preference that is stored once, carries over from the
@@ -70,7 +70,7 @@ class MOTD3Loss(TD3Loss):
         interpolator (PreferenceInterpolator, optional): the direction of a preference and the
             normalised space. Needed by both forms of the angle; for the raw preference as direction
             give it ``identity=True``. It is part of the state dict, but never trained.
-        angle (str, optional): ``"normalized"``, ``"official"`` or ``None`` (default) for no angle.
+        angle (str, optional): ``"normalized"``, ``"raw"`` or ``None`` (default) for no angle.
         angle_coeff_actor (float): :math:`c_\mathrm{actor}`. Defaults to 0.0, which only measures
             the angle. PD-MORL uses 10 on returns of hundreds; its gradient is in inverse units of Q.
         angle_coeff_critic (float): :math:`c_\mathrm{critic}`. Defaults to 0.0, since the term moves
@@ -170,7 +170,7 @@ class MOTD3Loss(TD3Loss):
         *,
         preference_space: PreferenceSpace | None = None,
         interpolator: PreferenceInterpolator | None = None,
-        angle: _Angle | None = None,
+        angle: ValueSpace | None = None,
         angle_coeff_actor: float = 0.0,
         angle_coeff_critic: float = 0.0,
         pre_tanh_coeff: float = 0.0,
@@ -193,8 +193,8 @@ class MOTD3Loss(TD3Loss):
             )
         if angle is None and (angle_coeff_actor or angle_coeff_critic):
             raise ValueError("an angle coefficient has no effect without angle=...")
-        if angle is not None and angle not in get_args(_Angle):
-            raise ValueError(f"angle must be None or one of {get_args(_Angle)}, got {angle!r}.")
+        if angle is not None and angle not in get_args(ValueSpace):
+            raise ValueError(f"angle must be None or one of {get_args(ValueSpace)}, got {angle!r}.")
         if angle is not None and interpolator is None:
             raise ValueError(
                 f"angle={angle!r} needs an interpolator; for the raw preference give it "
@@ -417,7 +417,7 @@ class MOTD3Loss(TD3Loss):
         direction = self.interpolator(preference).detach()
         if self.preference_space is not None:
             values = values.index_select(-1, self._tunable)
-        if self.angle == "official":
+        if self.angle == "raw":
             return angle_between(direction, values, form="official")
         return angle_between(direction, self.interpolator.normalize(values))
 

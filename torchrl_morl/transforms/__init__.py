@@ -1,7 +1,7 @@
 """TorchRL transforms for preferences, vector rewards and range sensors."""
 
 from torchrl_morl.transforms.finite import CheckFinite, check_finite
-from torchrl_morl.transforms.lidar import LidarMinPool
+from torchrl_morl.transforms.lidar import LidarMinPool, LogRange
 from torchrl_morl.transforms.overlay import PreferenceOverlay
 from torchrl_morl.transforms.polar import PolarFeatures
 from torchrl_morl.transforms.preference import PreferenceSampler
@@ -13,6 +13,7 @@ from torchrl_morl.transforms.velocity import VelocityInFrame
 __all__ = [
     "CheckFinite",
     "LidarMinPool",
+    "LogRange",
     "PolarFeatures",
     "PreferenceExpand",
     "PreferenceOverlay",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 from tensordict import TensorDictBase
@@ -11,7 +12,18 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs.transforms import ObservationTransform
 
-__all__ = ["LidarMinPool"]
+__all__ = ["LidarMinPool", "LogRange"]
+
+
+@dataclasses.dataclass(frozen=True)
+class LogRange:
+    """Maps ranges in metres to ``log(range / max_range) / 3``."""
+
+    max_range: float
+
+    def __call__(self, ranges: Tensor) -> Tensor:
+        """Ranges of any shape, at least a millimetre."""
+        return (ranges / self.max_range).clamp_min(1e-3 / self.max_range).log() / 3
 
 
 class LidarMinPool(ObservationTransform):

@@ -26,7 +26,7 @@ class PreferenceOverlay(Transform):
     are not being reset keep their last picture.
 
     Args:
-        space: the objectives; the chart names the tunable ones.
+        preference_space: the objectives; the chart names the tunable ones.
 
     Keyword Args:
         in_keys: pictures, ``uint8 [*B, H, W, 3]``.
@@ -53,7 +53,7 @@ class PreferenceOverlay(Transform):
 
     def __init__(
         self,
-        space: PreferenceSpace,
+        preference_space: PreferenceSpace,
         *,
         in_keys: Sequence[NestedKey] = ("pixels",),
         out_keys: Sequence[NestedKey] | None = None,
@@ -61,7 +61,7 @@ class PreferenceOverlay(Transform):
     ) -> None:
         in_keys = [unravel_key(key) for key in in_keys]
         super().__init__(in_keys=in_keys, out_keys=list(in_keys if out_keys is None else out_keys))
-        self.space = space
+        self.preference_space = preference_space
         self.preference_key = unravel_key(preference_key)
         self._last: dict[NestedKey, Tensor] = {}
 
@@ -100,7 +100,10 @@ class PreferenceOverlay(Transform):
                 "PreferenceSampler."
             )
         for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
-            target.set(out_key, draw_preference(target.get(in_key), preference, self.space.tunable))
+            target.set(
+                out_key,
+                draw_preference(target.get(in_key), preference, self.preference_space.tunable),
+            )
         return target
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -12,7 +12,8 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite
 from torchrl.envs.transforms import Transform
 
-from torchrl_morl.preferences import PreferenceSpace, SamplingLaw, _check_law
+from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution, check_distribution
+from torchrl_morl.segments import PreferenceSegments
 
 __all__ = ["PreferenceSampler"]
 
@@ -21,12 +22,16 @@ class _RandomPreferences(Transform):
     """A transform that draws preferences from a generator of its own, kept in the state dict."""
 
     def __init__(
-        self, space: PreferenceSpace, law: SamplingLaw, seed: int | None, **keys: list[NestedKey]
+        self,
+        preference_space: PreferenceSpace,
+        distribution: SamplingDistribution,
+        seed: int | None,
+        **keys: list[NestedKey],
     ) -> None:
         super().__init__(**keys)
-        _check_law(law)
-        self.space = space
-        self.law = law
+        check_distribution(distribution)
+        self.preference_space = preference_space
+        self.distribution = distribution
         self.generator = None if seed is None else torch.Generator().manual_seed(seed)
 
     def clone(self) -> Transform:
@@ -54,7 +59,7 @@ class _RandomPreferences(Transform):
     def _sample(self, shape: Sequence[int], like: Tensor) -> Tensor:
         # Drawn on the CPU, where the generator lives, so that one seed gives one stream on any
         # device.
-        drawn = self.space.sample(shape, self.law, self.generator, "cpu")
+        drawn = self.preference_space.sample(shape, self.distribution, self.generator, "cpu")
         return drawn.to(device=like.device, dtype=like.dtype)
 
 
@@ -79,10 +84,10 @@ class PreferenceSampler(_RandomPreferences):
     same preferences.
 
     Args:
-        space (PreferenceSpace): the preferences to draw from.
+        preference_space (PreferenceSpace): the preferences to draw from.
 
     Keyword Args:
-        law (str): see :meth:`PreferenceSpace.sample`.
+        distribution (str): see :meth:`PreferenceSpace.sample`.
         num_segments (int, optional): the environment of index ``i`` in the flattened batch draws
             from cell ``i % num_segments`` of :class:`~torchrl_morl.segments.PreferenceSegments`,
             as in PD-MORL (https://arxiv.org/abs/2208.07914). Defaults to the whole simplex.
@@ -95,7 +100,7 @@ class PreferenceSampler(_RandomPreferences):
             reach transforms in TorchRL 0.14.
 
     Raises:
-        ValueError: if the law is unknown or there is less than one segment; at reset, if a given
+        ValueError: if the distribution is unknown or there is less than one segment; at reset, if a given
             preference is invalid or if the fixed preferences do not fit the batch.
 
     Example:
@@ -115,16 +120,20 @@ class PreferenceSampler(_RandomPreferences):
 
     def __init__(
         self,
-        space: PreferenceSpace,
+        preference_space: PreferenceSpace,
         *,
-        law: SamplingLaw = "dirichlet",
+        distribution: SamplingDistribution = "dirichlet",
         num_segments: int | None = None,
         preference_key: NestedKey = "preference",
         reset_key: NestedKey | None = None,
         seed: int | None = None,
     ) -> None:
-        super().__init__(space, law, seed, in_keys=[], out_keys=[preference_key])
-        self.segments = None if num_segments is None else space.segments(num_segments)
+        super().__init__(
+            preference_space, distribution, seed, in_keys=[], out_keys=[preference_key]
+        )
+        self.segments = None
+        if num_segments is not None:
+            self.segments = PreferenceSegments(preference_space, num_segments)
         self.preference_key = unravel_key(preference_key)
         self.reset_key = None if reset_key is None else unravel_key(reset_key)
         self.register_buffer("preferences", None)
@@ -132,7 +141,7 @@ class PreferenceSampler(_RandomPreferences):
     @classmethod
     def fixed(
         cls,
-        space: PreferenceSpace,
+        preference_space: PreferenceSpace,
         preferences: Tensor | Sequence,
         *,
         preference_key: NestedKey = "preference",
@@ -141,7 +150,7 @@ class PreferenceSampler(_RandomPreferences):
         """Give the same preference at every reset, for instance one per environment of a test grid.
 
         Args:
-            space (PreferenceSpace): the space that the preferences belong to.
+            preference_space (PreferenceSpace): the space that the preferences belong to.
             preferences (Tensor or nested sequence): one preference for all, of shape ``[T]``, or
                 one row per environment in the order of the flattened batch, of shape ``[N, T]``.
 
@@ -166,8 +175,8 @@ class PreferenceSampler(_RandomPreferences):
             True
 
         """
-        sampler = cls(space, preference_key=preference_key, reset_key=reset_key)
-        sampler.preferences = space.validate(preferences).to(torch.get_default_dtype())
+        sampler = cls(preference_space, preference_key=preference_key, reset_key=reset_key)
+        sampler.preferences = preference_space.validate(preferences).to(torch.get_default_dtype())
         return sampler
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -202,13 +211,13 @@ class PreferenceSampler(_RandomPreferences):
         if preference is None:
             preference = self._draw(tensordict_reset)
         else:
-            expected = (*tensordict_reset.batch_size, self.space.num_tunable)
+            expected = (*tensordict_reset.batch_size, self.preference_space.num_tunable)
             if preference.shape != expected:
                 raise ValueError(
                     f"{self.preference_key!r} must have shape {list(expected)} at reset, got "
                     f"{list(preference.shape)}."
                 )
-            preference = self.space.validate(preference).to(torch.get_default_dtype())
+            preference = self.preference_space.validate(preference).to(torch.get_default_dtype())
         tensordict_reset.set(self.preference_key, preference)
         return tensordict_reset
 
@@ -246,10 +255,12 @@ class PreferenceSampler(_RandomPreferences):
             self.generator = torch.Generator()
             self.generator.seed()
         if self.segments is None:
-            preference = self.space.sample(batch, self.law, self.generator, "cpu")
+            preference = self.preference_space.sample(
+                batch, self.distribution, self.generator, "cpu"
+            )
         else:
             index = torch.arange(batch.numel()).reshape(batch) % self.segments.num_segments
-            preference = self.segments.sample(index, self.law, self.generator)
+            preference = self.segments.sample(index, self.distribution, self.generator)
         return preference.to(device)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
@@ -261,7 +272,7 @@ class PreferenceSampler(_RandomPreferences):
 
     def _add_spec(self, spec: Composite) -> Composite:
         spec = spec.clone()
-        shape = (*spec.shape, self.space.num_tunable)
+        shape = (*spec.shape, self.preference_space.num_tunable)
         spec[self.preference_key] = Bounded(0.0, 1.0, shape=shape, device=spec.device)
         return spec
 

@@ -12,7 +12,7 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import TensorSpec
 
-from torchrl_morl.preferences import PreferenceSpace, SamplingLaw
+from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution
 from torchrl_morl.transforms.preference import _RandomPreferences
 
 __all__ = ["PreferenceExpand", "PreferenceRelabel"]
@@ -23,12 +23,18 @@ class _HindsightPreferences(_RandomPreferences):
 
     def __init__(
         self,
-        space: PreferenceSpace,
-        law: SamplingLaw,
+        preference_space: PreferenceSpace,
+        distribution: SamplingDistribution,
         preference_key: NestedKey,
         seed: int | None,
     ) -> None:
-        super().__init__(space, law, seed, in_keys=[preference_key], out_keys=[preference_key])
+        super().__init__(
+            preference_space,
+            distribution,
+            seed,
+            in_keys=[preference_key],
+            out_keys=[preference_key],
+        )
         self.preference_key = unravel_key(preference_key)
         self.next_key = unravel_key(("next", preference_key))
 
@@ -69,11 +75,11 @@ class PreferenceRelabel(_HindsightPreferences):
     within a slice; do not use it there.
 
     Args:
-        space (PreferenceSpace): the preferences to draw from.
+        preference_space (PreferenceSpace): the preferences to draw from.
         ratio (float): the probability in [0, 1] that a transition is relabelled.
 
     Keyword Args:
-        law (str): see :meth:`PreferenceSpace.sample`.
+        distribution (str): see :meth:`PreferenceSpace.sample`.
         preference_key (NestedKey): preferences of shape ``[*B, T]`` at the root and, optionally, in
             ``"next"``.
         seed (int, optional): the seed of the transform's own generator, whose state is in the state
@@ -81,7 +87,7 @@ class PreferenceRelabel(_HindsightPreferences):
             generator of one's own, :func:`torch.compile` can trace.
 
     Raises:
-        ValueError: if the ratio is outside of [0, 1] or the law is unknown.
+        ValueError: if the ratio is outside of [0, 1] or the distribution is unknown.
         RuntimeError: if it is used in an environment.
 
     Example:
@@ -98,16 +104,16 @@ class PreferenceRelabel(_HindsightPreferences):
 
     def __init__(
         self,
-        space: PreferenceSpace,
+        preference_space: PreferenceSpace,
         ratio: float = 0.75,
         *,
-        law: SamplingLaw = "dirichlet",
+        distribution: SamplingDistribution = "dirichlet",
         preference_key: NestedKey = "preference",
         seed: int | None = None,
     ) -> None:
         if not 0 <= ratio <= 1:
             raise ValueError(f"ratio must be in [0, 1], got {ratio}.")
-        super().__init__(space, law, preference_key, seed)
+        super().__init__(preference_space, distribution, preference_key, seed)
         self.ratio = ratio
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -139,18 +145,18 @@ class PreferenceExpand(_HindsightPreferences):
     interleaved: the storage is not for sampling trajectory slices.
 
     Args:
-        space (PreferenceSpace): the preferences to draw from.
+        preference_space (PreferenceSpace): the preferences to draw from.
         copies (int): the number of copies with random preferences, at least one.
 
     Keyword Args:
-        law (str): see :meth:`PreferenceSpace.sample`; PD-MORL's code uses ``"abs_normal"``.
+        distribution (str): see :meth:`PreferenceSpace.sample`; PD-MORL's code uses ``"abs_normal"``.
         preference_key (NestedKey): preferences of shape ``[N, *B, T]`` at the root and, optionally,
             in ``"next"``.
         seed (int, optional): the seed of the transform's own generator, whose state is in the state
             dict. Without one, draws come from the global generator of torch.
 
     Raises:
-        ValueError: if there is less than one copy, if the law is unknown, or if the data has no
+        ValueError: if there is less than one copy, if the distribution is unknown, or if the data has no
             batch dimension.
         RuntimeError: if it is used in an environment.
 
@@ -174,16 +180,16 @@ class PreferenceExpand(_HindsightPreferences):
 
     def __init__(
         self,
-        space: PreferenceSpace,
+        preference_space: PreferenceSpace,
         copies: int = 3,
         *,
-        law: SamplingLaw = "dirichlet",
+        distribution: SamplingDistribution = "dirichlet",
         preference_key: NestedKey = "preference",
         seed: int | None = None,
     ) -> None:
         if copies < 1:
             raise ValueError(f"copies must be at least 1, got {copies}.")
-        super().__init__(space, law, preference_key, seed)
+        super().__init__(preference_space, distribution, preference_key, seed)
         self.copies = copies
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:

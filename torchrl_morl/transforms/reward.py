@@ -29,7 +29,7 @@ class ScalarizeReward(Transform):
     preferences.
 
     Args:
-        space (PreferenceSpace): gives the weights.
+        preference_space (PreferenceSpace): gives the weights.
         in_keys (Sequence[NestedKey]): vector rewards of shape ``[*B, K]``.
         out_keys (Sequence[NestedKey]): where to write scalar rewards of shape ``[*B, 1]``.
 
@@ -54,7 +54,7 @@ class ScalarizeReward(Transform):
 
     def __init__(
         self,
-        space: PreferenceSpace,
+        preference_space: PreferenceSpace,
         in_keys: Sequence[NestedKey] = ("reward",),
         out_keys: Sequence[NestedKey] = ("scalar_reward",),
         *,
@@ -63,7 +63,7 @@ class ScalarizeReward(Transform):
         if len(in_keys) != len(out_keys):
             raise ValueError(f"got {len(in_keys)} in_keys but {len(out_keys)} out_keys.")
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
-        self.space = space
+        self.preference_space = preference_space
         self.preference_key = unravel_key(preference_key)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -77,7 +77,7 @@ class ScalarizeReward(Transform):
             The same tensordict with the ``out_keys`` next to the ``in_keys``.
 
         """
-        weights = self.space.weights(tensordict[self.preference_key])
+        weights = self.preference_space.weights(tensordict[self.preference_key])
         for in_key, out_key in zip(self.in_keys, self.out_keys):
             reward = tensordict.get(("next", in_key), None)
             if reward is None:
@@ -88,7 +88,7 @@ class ScalarizeReward(Transform):
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        weights = self.space.weights(tensordict[self.preference_key])
+        weights = self.preference_space.weights(tensordict[self.preference_key])
         for in_key, out_key in zip(self.in_keys, self.out_keys):
             next_tensordict.set(out_key, self._scalarize(weights, next_tensordict[in_key]))
         return next_tensordict
@@ -111,8 +111,8 @@ class ScalarizeReward(Transform):
         return reward_spec
 
     def _check_size(self, key: NestedKey, size: int) -> None:
-        if size != self.space.num_objectives:
+        if size != self.preference_space.num_objectives:
             raise ValueError(
-                f"{key!r} has {size} entries, but there are {self.space.num_objectives} "
-                f"objectives: {self.space.objectives}."
+                f"{key!r} has {size} entries, but there are {self.preference_space.num_objectives} "
+                f"objectives: {self.preference_space.objectives}."
             )

@@ -9,7 +9,7 @@ import scipy.sparse.csgraph
 import torch
 from torch import Tensor
 
-from .geometry import rotate, segment_box_distance
+from torchrl_morl.geometry import rotate, segment_box_distance
 
 __all__ = ["shortest_path_length"]
 

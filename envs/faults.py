@@ -12,7 +12,7 @@ from torch import Tensor
 
 
 @dataclasses.dataclass(frozen=True)
-class Perturbation:
+class Faults:
     """Sensor and actuation faults, for robust training and transfer checks; all off by default.
 
     Each is a number, or a pair of numbers: a range from which every episode draws its own. One
@@ -127,16 +127,16 @@ class Perturbation:
         return velocity + amounts[:, 2:3] * (high - low) * noise
 
 
-def get_perturbation(perturbation: Perturbation | Mapping[str, Any] | None) -> Perturbation:
+def get_faults(faults: Faults | Mapping[str, Any] | None) -> Faults:
     """Return the faults, made from their mapping (a configuration) if need be; ``None`` has none.
 
     Raises:
         ValueError: for a fault that does not exist, or an amount that is refused.
     """
-    if isinstance(perturbation, Perturbation):
-        return perturbation
-    known = [field.name for field in dataclasses.fields(Perturbation)]
-    for name in perturbation or {}:
+    if isinstance(faults, Faults):
+        return faults
+    known = [field.name for field in dataclasses.fields(Faults)]
+    for name in faults or {}:
         if name not in known:
-            raise ValueError(f"Unknown fault {name!r} of a perturbation: choose among {known}.")
-    return Perturbation(**(perturbation or {}))
+            raise ValueError(f"Unknown fault {name!r}: choose among {known}.")
+    return Faults(**(faults or {}))

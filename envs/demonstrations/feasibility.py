@@ -8,11 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .geometry import point_box_distance, wrap_angle
-from .navigation import NavigationEnv
+from torchrl_morl.geometry import point_box_distance, wrap_angle
+
+from ..navigation import NavigationEnv
+from ..robots import TURTLEBOT2, Robot, get_robot
+from ..scenes import HUMAN_RADIUS
 from .recordings import Recording
-from .robots import TURTLEBOT2, Robot, get_robot
-from .scenes import HUMAN_RADIUS
 
 # A motion shorter than this within a step has no reliable direction, metres.
 _STILL = 0.01

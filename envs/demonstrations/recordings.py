@@ -64,7 +64,7 @@ def read_recordings(path: str | Path, boxes: str | Path | None = None) -> list[R
         FileNotFoundError: if a file does not exist.
         ValueError: if a file is not of this format; the message names the file, and the line and
             column or the array. Numbers that parse but make no sense, such as NaN, are left to
-            :func:`envs.feasibility.check`.
+            :func:`envs.demonstrations.feasibility.check`.
 
     Examples:
         >>> import tempfile

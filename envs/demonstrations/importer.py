@@ -10,12 +10,11 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from .batched_mujoco import PhysicsState
+from ..policy_env import make_policy_env
+from ..robots import TURTLEBOT2, Robot, get_robot
+from ..scenes import Scene
 from .feasibility import TimedPath, Tolerances, check, velocities
-from .policy_env import make_policy_env
 from .recordings import read_recordings
-from .robots import TURTLEBOT2, Robot, get_robot
-from .scenes import Scene
 
 # Out of sight of any lidar: where the boxes stand that a scene has less than others, metres.
 _FAR = 1000.0
@@ -126,7 +125,7 @@ def replay(
     base executed; where a command changes, a base that lags was told more than that.
 
     Args:
-        paths: of :func:`envs.feasibility.check`: free of contacts, the last point at the goal.
+        paths: of :func:`envs.demonstrations.feasibility.check`: free of contacts, the last point at the goal.
         robot: a name from :data:`envs.ROBOTS` or a :class:`envs.Robot`.
 
     Keyword Args:
@@ -205,13 +204,8 @@ def _observe(
         state["scene", "goal"] = state["scene", "human_goal"] = goal[owner[filled]]
         state["scene", "boxes"] = boxes[owner[filled]]
         seen = env.reset(state.clone(), set_state=True).select(*_OBSERVED)
-        before, after = (
-            PhysicsState(qpos, state["qvel"])
-            for qpos in (pose[(filled - 1).clamp_min(0)], pose[filled])
-        )
-        # The environment's own reward; it does not depend on the action.
-        reward = env.base_env._compute_reward(before, state["qvel"], after)
-        seen["reward"] = reward.to(seen["observation"])
+        came_from = pose[(filled - 1).clamp_min(0), :2]
+        seen["reward"] = env.base_env.reward_from(came_from).to(seen["observation"])
         out.append(seen[: len(rows)].clone())
     env.close()
     return torch.cat(out)

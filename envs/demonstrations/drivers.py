@@ -12,9 +12,11 @@ from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
-from .geometry import point_box_distance, wrap_angle
-from .navigation import NavigationEnv
-from .robots import TURTLEBOT2, Robot, get_robot
+from torchrl_morl.evaluation import episode_mask
+from torchrl_morl.geometry import point_box_distance, wrap_angle
+
+from ..navigation import NavigationEnv
+from ..robots import TURTLEBOT2, Robot, get_robot
 
 
 class Driver(TensorDictModuleBase):
@@ -259,7 +261,7 @@ def demonstrated_paths(
         path touches none of the boxes of the scene.
     """
     # It is shown by a robot without faults.
-    env = NavigationEnv(num_envs=len(start), **{**env_kwargs, "perturbation": None})
+    env = NavigationEnv(num_envs=len(start), **{**env_kwargs, "faults": None})
     state = start.select(*env.state_spec.keys(True, True)).clone()
     boxes = state["scene", "boxes"].clone()
     state["scene", "boxes"][..., :2] += 1e3
@@ -273,9 +275,7 @@ def demonstrated_paths(
     )
     radius = env.robot.radius
     env.close()
-    done = rollout["next", "done"].squeeze(-1)
-    ended = done.cumsum(-1)
-    mask = (ended - done.to(ended.dtype)) == 0
+    mask = episode_mask(rollout["next", "done"])
     mask = torch.cat((torch.ones_like(mask[:, :1]), mask), dim=-1)
     position = torch.cat((rollout["pose"][:, :1], rollout["next", "pose"]), dim=1)[..., :2]
     clearance = point_box_distance(position[:, :, None], boxes[:, None])
