@@ -23,7 +23,7 @@ from envs.mjcf import Drive
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
-from .sweep import GOAL_RADIUS, SHIPPED_POLICY, edge, observed_by, sweep
+from .evaluation.sweep import GOAL_RADIUS, SHIPPED_POLICY, edge, observed_by, sweep
 
 
 def parse_preferences(texts: list[str], preference_space: PreferenceSpace) -> Tensor:

@@ -24,7 +24,9 @@ from torch import Tensor
 
 from torchrl_morl.data import load_demonstrations
 
-from . import utils
+from .cloning import clone_behaviour
+from .demonstrations import demonstrated
+from .rollouts import core_return, frechet, mean_and_error, rollouts, succeeded
 
 _LABELS = {
     "core": "core return / (125 x start-goal distance)",
@@ -90,15 +92,15 @@ def study(
         scenes whose demonstrated path is free of boxes: no other path can be followed.
     """
     seed = cfg.seed + 40_000
-    reference = utils.demonstrated(cfg, num_scenes, seed)
+    reference = demonstrated(cfg, num_scenes, seed)
     results: dict[str, list[Tensor]] = {name: [] for name in _LABELS}
     for count in tqdm.tqdm(counts, desc="augmentation", unit="clone"):
         torch.manual_seed(cfg.seed)  # clones start from the same weights
-        policy, _ = utils.clone_behaviour(cfg, demonstrations[:count])
-        data = utils.rollouts(policy, num_scenes, seed, **cfg.env)
-        results["core"].append(utils.core_return(data))
-        results["frechet"].append(utils.frechet(data, reference)[reference["free"]])
-        results["success"].append(utils.succeeded(data).float())
+        policy, _ = clone_behaviour(cfg, demonstrations[:count])
+        data = rollouts(policy, num_scenes, seed, **cfg.env)
+        results["core"].append(core_return(data))
+        results["frechet"].append(frechet(data, reference)[reference["free"]])
+        results["success"].append(succeeded(data).float())
     return {name: torch.stack(values) for name, values in results.items()}
 
 
@@ -107,7 +109,7 @@ def table(counts: list[int], results: dict[str, Tensor]) -> str:
     lines = [f"{name}: {label}" for name, label in _LABELS.items()]
     heads = [f"{name} (n = {values.shape[1]})" for name, values in results.items()]
     lines.append(f"{'N_D':>6}" + "".join(f"{head:>22}" for head in heads))
-    columns = [torch.stack(utils.mean_and_error(values), -1) for values in results.values()]
+    columns = [torch.stack(mean_and_error(values), -1) for values in results.values()]
     for count, *cells in zip(counts, *(column.tolist() for column in columns), strict=True):
         numbers = (f"{mean:.2f} +- {error:.2f}" for mean, error in cells)
         lines.append(f"{count:>6}" + "".join(f"{number:>22}" for number in numbers))
@@ -118,7 +120,7 @@ def figure(path: Path, counts: list[int], results: dict[str, Tensor]) -> None:
     """The same as a picture."""
     fig, axes = plt.subplots(1, len(results), figsize=(12, 3.6), layout="constrained")
     for ax, (name, values) in zip(axes, results.items(), strict=True):
-        mean, error = utils.mean_and_error(values)
+        mean, error = mean_and_error(values)
         ax.errorbar(counts, mean, error, marker="o", capsize=3, color="#0072b2")
         ax.set_xscale("log")
         ax.set_xlabel("demonstrations $N_D$")

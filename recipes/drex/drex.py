@@ -15,11 +15,15 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from torchrl._utils import timeit
 
-from recipes.pd_morl.learning import use_bfloat16
+from recipes.training.gradients import use_bfloat16
 from torchrl_morl.data import save_demonstrations
 
-from . import ranking, styles, utils
+from . import ranking, styles
+from .cards import metadata
+from .cloning import clone_behaviour, save_clone
+from .demonstrations import collect_demonstrations, read_demonstrations
 from .report import write_report
+from .rollouts import noisy_rollouts
 
 
 @hydra.main(version_base="1.3", config_path="", config_name="config")
@@ -28,36 +32,31 @@ def main(cfg: DictConfig) -> None:
     # Nothing is run before the configuration has been accepted.
     ranking.hidden_entries(cfg)
     styles.rollouts_per_style(cfg)
-    recorded = utils.read_demonstrations(cfg)
-    # In the cards stands what the models were trained in.
-    cfg.bfloat16 = use_bfloat16(cfg.bfloat16, torch.device("cpu"))
+    recorded = read_demonstrations(cfg)
+    bfloat16 = use_bfloat16(cfg.bfloat16, torch.device("cpu"))
     torch.set_num_threads(cfg.torch_threads)
     torch.manual_seed(cfg.seed)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
 
     with timeit("demonstrations"):
-        demonstrations = utils.collect_demonstrations(cfg) if recorded is None else recorded
-        save_demonstrations(
-            run_dir / "demonstrations.safetensors", demonstrations, utils.metadata(cfg)
-        )
+        demonstrations = collect_demonstrations(cfg) if recorded is None else recorded
+        save_demonstrations(run_dir / "demonstrations.safetensors", demonstrations, metadata(cfg))
     with timeit("behaviour cloning"):
-        policy, cloning_loss = utils.clone_behaviour(cfg, demonstrations)
+        policy, cloning_loss = clone_behaviour(cfg, demonstrations)
     with timeit("noisy rollouts"):
         # The demonstrations stand beside the clone without noise: neither is better.
-        noisy = [(0.0, demonstrations), *utils.noisy_rollouts(cfg, policy)]
+        noisy = [(0.0, demonstrations), *noisy_rollouts(cfg, policy)]
     with timeit("other styles"):
         # The extension to D-REX: other ways to drive rank below the demonstrations.
         others = styles.other_styles(cfg, recorded) if cfg.style_negatives.rollouts else []
     with timeit("reward model"):
         snippets = ranking.ranked_snippets(cfg, noisy, others)
-        model, scores = ranking.train_reward_model(cfg, snippets)
+        model, scores = ranking.train_reward_model(cfg, snippets, bfloat16=bfloat16)
     with timeit("diagnostics"):
         report = write_report(run_dir, cfg, model, noisy, scores)
-    card = {"behaviour_cloning_loss": cloning_loss, **scores, **report}
+    card = {"bfloat16": bfloat16, "behaviour_cloning_loss": cloning_loss, **scores, **report}
     ranking.save_model(run_dir / "reward_model", cfg, model, card)
-    utils.save_clone(
-        run_dir / "behaviour_clone", cfg, policy, {"behaviour_cloning_loss": cloning_loss}
-    )
+    save_clone(run_dir / "behaviour_clone", cfg, policy, {"behaviour_cloning_loss": cloning_loss})
     timeit.print()
     print(f"reward model, report and behaviour clone: {run_dir}")
 

@@ -10,6 +10,7 @@ import torch
 import tqdm
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
+from torch import Tensor
 
 from envs.policy_env import observation_size, observed
 from torchrl_morl.data import RankedSnippets
@@ -18,8 +19,8 @@ from torchrl_morl.deploy.features import PARTS, observation_parts
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.objectives import BradleyTerryLoss
 
-from ..pd_morl.learning import use_bfloat16
-from .utils import ACTION_SPEC, metadata
+from .cards import metadata
+from .rollouts import ACTION_SPEC
 
 
 def hidden_entries(cfg: DictConfig) -> list[int]:
@@ -72,14 +73,16 @@ def ranked_snippets(
     if styles:
         undisturbed = [(0.0, data) for quality, data in noisy if quality == 0.0]
         groups = undisturbed + [(-1.0, data) for data in styles]
-        for _, data in groups:
-            data.set("near", data["human"][..., 0] < section.near_human)
+        groups = [
+            (quality, data.copy().set("near", data["human"][..., 0] < section.near_human))
+            for quality, data in groups
+        ]
         snippets.append(RankedSnippets(groups, length=length, focus_key="near", seed=seed + 1))
     return snippets
 
 
 def train_reward_model(
-    cfg: DictConfig, snippets: list[RankedSnippets]
+    cfg: DictConfig, snippets: list[RankedSnippets], *, bfloat16: bool = False
 ) -> tuple[RewardModel, dict[str, Any]]:
     """Bradley-Terry on ranked snippets; every source of pairs has the same share of a batch."""
     section, hidden = cfg.reward_model, hidden_entries(cfg)
@@ -89,9 +92,7 @@ def train_reward_model(
     optimizer = torch.optim.AdamW(
         loss.parameters(), lr=section.lr, weight_decay=section.weight_decay, fused=True
     )
-    precision = torch.autocast(
-        "cpu", torch.bfloat16, enabled=use_bfloat16(cfg.bfloat16, torch.device("cpu"))
-    )
+    precision = torch.autocast("cpu", torch.bfloat16, enabled=bfloat16)
     share = section.batch_size // len(snippets)
     with tqdm.tqdm(total=section.updates, desc="reward model", unit="update") as progress:
         for update in range(1, section.updates + 1):
@@ -131,15 +132,14 @@ def held_out_accuracy(
 
 
 @torch.no_grad()
+def step_scores(model: RewardModel, data: TensorDictBase) -> Tensor:
+    """R of every step of trajectories ``[N, T]``, also of those behind an end."""
+    return model(data.select("observation", "action"))["demo_score"].squeeze(-1)
+
+
 def mean_scores(model: RewardModel, groups: list[tuple[float, TensorDictBase]]) -> list[float]:
     """Mean R over the steps of each group."""
-    return [
-        model(data.select("observation", "action"))["demo_score"]
-        .squeeze(-1)[data["mask"]]
-        .mean()
-        .item()
-        for _, data in groups
-    ]
+    return [step_scores(model, data)[data["mask"]].mean().item() for _, data in groups]
 
 
 def save_model(folder: Path, cfg: DictConfig, model: RewardModel, card: dict[str, Any]) -> None:

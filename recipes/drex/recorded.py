@@ -13,7 +13,7 @@ from envs import NavigationEnv
 from envs.demonstrations import Driver, demonstrated_paths
 from envs.policy_env import simulated
 
-from .utils import frechet
+from .rollouts import frechet
 
 
 @torch.no_grad()

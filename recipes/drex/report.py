@@ -15,17 +15,19 @@ from omegaconf import DictConfig
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.nn import functional as F
+from torchrl.envs import ActionScaling, Compose
 
 from envs import HUMAN_RADIUS
 from envs.policy_env import observation_size
 from envs.robots import get_robot
-from torchrl_morl.deploy.features import GOAL_SCALE, HUMAN_SCALE, NUM_SECTORS
+from torchrl_morl.deploy.features import policy_transforms
 from torchrl_morl.evaluation import steerability
 from torchrl_morl.geometry import rotate, wrap_angle
 from torchrl_morl.modules import RewardModel
-from torchrl_morl.transforms import LogRange
 
-from . import ranking, styles, utils
+from . import ranking, styles
+from .demonstrations import demonstrated
+from .rollouts import core_return, frechet, mean_and_error
 
 # Of the environment's lidar.
 _NUM_RAYS, _MAX_RANGE = 720, 4.0
@@ -57,12 +59,7 @@ def write_report(
     recorded = None if cfg.demonstrations.dataset is None else groups[0][1]
     scores = ranking.mean_scores(model, noisy)
     levels = [-quality for quality, _ in noisy]
-    every = torch.cat(
-        [
-            model(data.select("observation", "action"))["demo_score"].squeeze(-1)[data["mask"]]
-            for _, data in groups
-        ]
-    )
+    every = torch.cat([ranking.step_scores(model, data)[data["mask"]] for _, data in groups])
     contrast = styles.style_contrast(cfg, model, recorded)
     rivals = [value for name, value in contrast.items() if name != "demonstration"]
     lead = contrast["demonstration"] - max(rivals, default=float("nan"))
@@ -107,22 +104,22 @@ def degradation_figure(
     The distance to the scripted circle alone: nobody knows what a person would have done elsewhere.
     """
     count = min(cfg.diagnostics.rollouts, cfg.noise.rollouts)
-    core = torch.stack([utils.core_return(data[:count]) for _, data in noisy])
+    core = torch.stack([core_return(data[:count]) for _, data in noisy])
     panels = [(core, "core return / (125 x start-goal distance)")]
     title = "cloned policy under held noise, means and standard errors"
     if cfg.demonstrations.dataset is None:
         # In the scenes of the noisy rollouts; nobody can follow a path that leads through a box.
-        reference = utils.demonstrated(cfg, cfg.noise.rollouts, cfg.seed + 10_000)[:count]
+        reference = demonstrated(cfg, cfg.noise.rollouts, cfg.seed + 10_000)[:count]
         free = reference["free"]
-        frechet = torch.stack([utils.frechet(data[:count], reference)[free] for _, data in noisy])
-        panels.append((frechet, "Frechet distance to the demonstration / m"))
+        distance = torch.stack([frechet(data[:count], reference)[free] for _, data in noisy])
+        panels.append((distance, "Frechet distance to the demonstration / m"))
         title += "; the distance where no box stands on the demonstrated path"
     levels = [-quality for quality, _ in noisy]
     fig, axes = plt.subplots(
         1, len(panels), figsize=(4.5 * len(panels), 3.6), layout="constrained", squeeze=False
     )
     for ax, (values, label) in zip(axes[0], panels, strict=True):
-        mean, error = utils.mean_and_error(values)
+        mean, error = mean_and_error(values)
         ax.errorbar(levels, mean, error, marker="o", capsize=3, color="#0072b2")
         ax.set_xlabel("share of noisy steps")
         ax.set_ylabel(label)
@@ -158,8 +155,10 @@ def heat_map(
         curve = -mirror * cfg.demonstrations.speed / radius / robot.max_turn_rate
         turn_rate = torch.where(leaving | ~orbiting, 0.0, curve)
         speed = torch.full_like(turn_rate, 2 * cfg.demonstrations.speed / robot.max_speed - 1)
-        features = observation(position, heading + turned, goal)
-        # Entries about the human are the last ones: none of them, or a velocity of zero as well.
+        features = observation(
+            position, heading + turned, goal, observe_human=cfg.env.observe_human
+        )
+        # The last entries are the velocity of a human who stands, if it is observed.
         features = F.pad(features, (0, observation_size(cfg.env) - features.shape[-1]))
         action = torch.stack((speed, turn_rate), dim=-1)
         data = TensorDict({"observation": features, "action": action}, batch_size=x.shape)
@@ -193,7 +192,7 @@ def drives_figure(path: Path, model: RewardModel, drives: dict[str, TensorDictBa
         1, len(drives), figsize=(10.5, 4.6), sharex=True, sharey=True, layout="constrained"
     )
     for ax, (title, data) in zip(axes, drives.items(), strict=True):
-        score = model(data.select("observation", "action"))["demo_score"].squeeze(-1)
+        score = ranking.step_scores(model, data)
         position = data["pose"][..., :2] - data["human_pose"][..., :2]
         first = position[:, :1]
         turn = torch.pi - torch.atan2(first[..., 1], first[..., 0])
@@ -209,13 +208,20 @@ def drives_figure(path: Path, model: RewardModel, drives: dict[str, TensorDictBa
     plt.close(fig)
 
 
-def observation(position: Tensor, heading: Tensor, goal: float) -> Tensor:
-    """The policy's observation ``[*B, 36]`` at positions around a human, nothing else in sight."""
+def observation(position: Tensor, heading: Tensor, goal: float, **observed: bool) -> Tensor:
+    """The policy's observation ``[*B, D]`` at positions around a human, nothing else in sight.
+
+    Args:
+        position: of the robot, ``[*B, 2]``; the human is the origin.
+        heading: ``[*B]``.
+        goal: its x.
+        **observed: see :func:`~torchrl_morl.deploy.features.policy_transforms`.
+    """
     x, y = position.unbind(-1)
 
-    def features(dx: Tensor, dy: Tensor, scale: float) -> list[Tensor]:
+    def polar(dx: Tensor, dy: Tensor) -> Tensor:
         bearing = wrap_angle(torch.atan2(dy, dx) - heading)
-        return [torch.hypot(dx, dy) / scale, bearing.sin(), bearing.cos()]
+        return torch.stack((torch.hypot(dx, dy), bearing), dim=-1)
 
     # Where each ray meets the cylinder that stands for the human.
     distance = torch.hypot(x, y)[..., None]
@@ -225,9 +231,13 @@ def observation(position: Tensor, heading: Tensor, goal: float) -> Tensor:
     along = distance * off.cos() - (HUMAN_RADIUS**2 - aside**2).clamp_min(0.0).sqrt()
     hit = (aside.abs() <= HUMAN_RADIUS) & (off.cos() > 0) | (distance <= HUMAN_RADIUS)
     scan = along.clamp(0.0, _MAX_RANGE).masked_fill(~hit, _MAX_RANGE)
-    lidar = LogRange(_MAX_RANGE)(scan.unflatten(-1, (NUM_SECTORS, -1)).amin(-1))
-    polar = features(goal - x, -y, GOAL_SCALE) + features(-x, -y, HUMAN_SCALE)
-    return torch.cat((lidar, torch.stack(polar, dim=-1)), dim=-1)
+    sensed = TensorDict(
+        {"scan": scan, "goal": polar(goal - x, -y), "human": polar(-x, -y)}, batch_size=x.shape
+    )
+    transforms = policy_transforms(_MAX_RANGE, **observed)
+    # It is the features that are wanted; there is no action to scale.
+    features = Compose(*(one.clone() for one in transforms if not isinstance(one, ActionScaling)))
+    return features(sensed)["observation"]
 
 
 def contrast_figure(path: Path, contrast: dict[str, float]) -> None:

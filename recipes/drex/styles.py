@@ -13,8 +13,10 @@ from torch import Tensor
 from envs.demonstrations import DetourDriver, Driver, StraightDriver
 from torchrl_morl.modules import RewardModel
 
+from .demonstrations import demonstrator, demonstrator_arguments
+from .ranking import step_scores
 from .recorded import distance_from_recorded
-from .utils import demonstrator, demonstrator_arguments, rollouts
+from .rollouts import rollouts
 
 _NUM_STYLES = 6
 
@@ -115,7 +117,7 @@ def style_contrast(
         drives[name] = rollouts(policy, cfg.diagnostics.rollouts, cfg.seed + 30_000, **cfg.env)
     result = {}
     for name, data in drives.items():
-        score = model(data.select("observation", "action"))["demo_score"].squeeze(-1)
+        score = step_scores(model, data)
         near = data["mask"] & (data["human"][..., 0] < within)
         result[name] = score[near].mean().item()
     return result

@@ -21,48 +21,50 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.envs import RewardScaling
 
-from recipes.pd_morl import evaluation, files
-from recipes.pd_morl.learning import step, use_bfloat16
-from recipes.pd_morl.utils import crossed, log_metrics, make_loggers
-from recipes.task import make_averaged, make_task
+from recipes.training.agent import make_averaged
+from recipes.training.corners import evaluate_corners
+from recipes.training.logs import crossed, log_metrics, make_loggers
+from recipes.training.optimizers import step
+from recipes.training.policies import finish, save_training_policy
+from recipes.training.run_folder import write_run_info
+from recipes.training.task import make_task
 from torchrl_morl.deploy import load_policy
 
-from . import penalties, utils
+from . import penalties
+from .batches import BATCH, failing, failure_rate, make_replay_buffer
+from .networks import ENVS_AT_ONCE, make_advantage, make_critic, make_loss, make_policy
+from .optimizers import make_optimizers, make_schedule, resume
+from .start import check, check_start, complete
 
 
 @hydra.main(version_base="1.3", config_path="", config_name="config")
 def main(cfg: DictConfig) -> None:
     """Polish a policy, evaluate it on the way, and save what is evaluated."""
     start, preference_space, card = load_policy(cfg.policy, device=cfg.device)
-    cfg = utils.complete(cfg, card)
-    utils.check(cfg)
+    cfg = complete(cfg, card)
+    check(cfg)
     task = make_task(cfg)
-    utils.check_start(cfg, task, start, preference_space)
+    check_start(cfg, task, start, preference_space)
 
     # The policy is noise around the actor; the noise is all that PPO adds to it.
     actor = copy.deepcopy(start).requires_grad_(True)
     sigma = torch.tensor(list(cfg.collector.exploration_sigma), device=task.device)
-    noisy, policy = utils.make_policy(actor, sigma)
-    critic = utils.make_critic(cfg, task)
-    advantage = utils.make_advantage(cfg, task, critic)
-    loss = utils.make_loss(cfg, noisy, critic)
+    noisy, policy = make_policy(actor, sigma)
+    critic = make_critic(cfg, task)
+    advantage = make_advantage(cfg, task, critic)
+    loss = make_loss(cfg, noisy, critic)
     averaged = make_averaged(cfg, actor)
-    optimizers = utils.make_optimizers(cfg, loss)
-    replay_buffer = utils.make_replay_buffer(cfg, task)
+    optimizers = make_optimizers(cfg, loss)
+    replay_buffer = make_replay_buffer(cfg, task)
     state = Checkpoint(loss=loss, averaged=averaged, **optimizers)
-    frames, begin = utils.resume(cfg, state)
-    schedule = utils.make_schedule(cfg, optimizers["actor"], frames, begin)
-    # In the card of a policy stands what it was trained in.
-    cfg.compute.bfloat16 = use_bfloat16(cfg.compute.bfloat16, task.device)
-    precision = torch.autocast(task.device.type, torch.bfloat16, enabled=cfg.compute.bfloat16)
+    frames, begin = resume(cfg, state)
+    schedule = make_schedule(cfg, optimizers["actor"], frames, begin)
+    precision = torch.autocast(task.device.type, torch.bfloat16, enabled=task.facts["bfloat16"])
     env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
-    demo = (
-        task.preference_space.tunable.index("demo")
-        if "demo" in task.preference_space.tunable
-        else None
-    )
+    tunable = task.preference_space.tunable
+    demo = tunable.index("demo") if "demo" in tunable else None
     # Nothing is written before the configuration has been accepted.
-    files.write_run_info(task.run_dir)
+    write_run_info(task.run_dir)
     loggers = make_loggers(cfg, task.run_dir)
 
     collector = Collector(
@@ -90,15 +92,15 @@ def main(cfg: DictConfig) -> None:
         # Advantages of every objective, weighed by the preference of the episode.
         with timeit("advantage"):
             advantage(data)
-            parts = data.select(*start.in_keys).split(utils.ENVS_AT_ONCE)
+            parts = data.select(*start.in_keys).split(ENVS_AT_ONCE)
             data["start_action"] = penalties.average_over_time(
                 torch.cat([start(part)["action"] for part in parts]),
                 data["collector", "traj_ids"],
                 window=cfg.loss.anchor_window,
             )
-            data["fails"] = utils.failing(data)
+            data["fails"] = failing(data)
         replay_buffer.empty()
-        replay_buffer.extend(data.reshape(-1).select(*utils.BATCH))
+        replay_buffer.extend(data.reshape(-1).select(*BATCH))
 
         metrics = {}
         for _ in range(cfg.optim.epochs if trains_actor else cfg.optim.critic_epochs):
@@ -121,14 +123,14 @@ def main(cfg: DictConfig) -> None:
                 metrics |= losses
         if trains_actor:
             schedule.step()
-        metrics["failed"] = utils.failure_rate(data)
+        metrics["failed"] = failure_rate(data)
         logged = {f"train/{name}": value.detach().mean() for name, value in metrics.items()}
         log_metrics(loggers, logged, frames)
 
         last = frames >= cfg.collector.total_frames
         if last or crossed(cfg.evaluation.interval, collected, frames):
             with timeit("evaluate"):
-                result = evaluation.evaluate(
+                result = evaluate_corners(
                     cfg, task.eval_env, averaged.module, task.preference_space, task.demonstration
                 )
             log_metrics(loggers, result.metrics, frames)
@@ -136,13 +138,21 @@ def main(cfg: DictConfig) -> None:
             next_begin = frames if last else begin
             metadata = {"score": result.score, "frames": frames, "schedule": next_begin}
             checkpoints.save(state, step=frames, metadata=metadata)
-            utils.save(task, cfg, frames, averaged.module, result, card)
+            save_training_policy(
+                task.run_dir / "policies" / f"{frames:09d}",
+                cfg,
+                averaged.module,
+                task,
+                result,
+                # How the policy was trained that it started as.
+                start={name: card[name] for name in ("config", "start") if name in card},
+            )
             tqdm.tqdm.write(result.table(frames))
             progress.set_postfix(success=f"{result.success:.0f}%", score=f"{result.score:.2f}")
     progress.close()
     collector.shutdown()
     timeit.print()
-    files.finish(task.run_dir, cfg)
+    finish(task.run_dir, cfg)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from envs.scenes import get_scene
 from torchrl_morl import evaluation
 from torchrl_morl.evaluation.shortest_path import shortest_path_length
 
-from ..sweep import GOAL_RADIUS, Sweep
+from ..evaluation.sweep import GOAL_RADIUS, Sweep
 
 OUTCOMES = ("success", "collision_human", "collision_obstacle", "timeout")
 CONTACT = TURTLEBOT2.radius + HUMAN_RADIUS

@@ -21,7 +21,7 @@ from envs import HUMAN_RADIUS
 from torchrl_morl.evaluation import draw_paths, draw_scene
 from torchrl_morl.geometry import rotate
 
-from ..sweep import GOAL_RADIUS
+from ..evaluation.sweep import GOAL_RADIUS
 from .colors import LABELS, edge_map
 from .files import Evaluation
 from .quantitative import STYLE

@@ -14,8 +14,8 @@ from envs.demonstrations import CircleDemonstrator
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
-from ..references import make_reference
-from ..sweep import observed_by
+from ..evaluation.references import make_reference
+from ..evaluation.sweep import observed_by
 
 _REFERENCE = "reference:"
 
@@ -100,7 +100,7 @@ def load_system(argument: str) -> System:
     """Read ``NAME=FOLDER``, ``NAME=FOLDER1,FOLDER2,...`` or ``NAME=reference:REFERENCE``.
 
     Several folders are the same training with other seeds; references are those of
-    :mod:`recipes.references`.
+    :mod:`recipes.evaluation.references`.
 
     Raises:
         ImportError: for a reference that needs a package that is not installed.

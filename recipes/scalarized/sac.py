@@ -16,22 +16,26 @@ from torch import Tensor
 from torchrl._utils import timeit
 from torchrl.objectives import SoftUpdate
 
-from recipes.pd_morl.learning import make_optimizers, step
-from recipes.task import make_averaged, make_task
+from recipes.training import off_policy
+from recipes.training.agent import make_actor, make_averaged
+from recipes.training.optimizers import make_optimizers, step
+from recipes.training.task import make_task
 
-from . import training, utils
+from .losses import make_sac_loss
+from .rewards import make_replay_buffer
+from .stochastic import make_stochastic_policy
 
 
 @hydra.main(version_base="1.3", config_path="", config_name="sac")
 def main(cfg: DictConfig) -> None:
     """Train, evaluate while training, and save the deterministic part of the policy."""
     task = make_task(cfg)
-    replay_buffer = utils.make_replay_buffer(cfg, task)
+    replay_buffer = make_replay_buffer(cfg, task)
 
     # The actor that is saved and the one that explores are one network: they share the mean.
-    actor = utils.make_actor(cfg, task)
-    policy = utils.make_stochastic_policy(cfg, task, actor)
-    loss = utils.make_sac_loss(cfg, task, policy)
+    actor = make_actor(cfg, task)
+    policy = make_stochastic_policy(cfg, task, actor)
+    loss = make_sac_loss(cfg, task, policy)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
     averaged = make_averaged(cfg, actor)
     optimizers, schedulers = make_optimizers(cfg, loss)
@@ -57,7 +61,7 @@ def main(cfg: DictConfig) -> None:
         }
 
     state = {"loss": loss, "averaged": averaged, **optimizers, **schedulers}
-    training.train(cfg, task, policy, averaged, replay_buffer, update, schedulers, state)
+    off_policy.train(cfg, task, policy, averaged, replay_buffer, update, schedulers, state)
 
 
 if __name__ == "__main__":

@@ -15,11 +15,14 @@ from torch import Tensor
 from torchrl._utils import timeit
 from torchrl.objectives import SoftUpdate
 
-from recipes.pd_morl.learning import make_optimizers, step
-from recipes.pd_morl.utils import make_policy
-from recipes.task import make_averaged, make_task
+from recipes.training import off_policy
+from recipes.training.agent import make_averaged, make_policy
+from recipes.training.optimizers import make_optimizers, step
+from recipes.training.task import make_task
 
-from . import training, utils
+from .core import core_only, cut_off_preference
+from .losses import make_td3_loss
+from .rewards import make_replay_buffer
 
 
 @hydra.main(version_base="1.3", config_path="", config_name="td3")
@@ -29,13 +32,13 @@ def main(cfg: DictConfig) -> None:
         raise ValueError(f"objective must be 'preference' or 'core', got {cfg.objective!r}.")
     task = make_task(cfg)
     if cfg.objective == "core":
-        task = utils.core_only(task)
-    replay_buffer = utils.make_replay_buffer(cfg, task)
+        task = core_only(task)
+    replay_buffer = make_replay_buffer(cfg, task)
 
-    actor, policy = make_policy(cfg, task.env, task.preference_space, task.device)
+    actor, policy = make_policy(cfg, task)
     if cfg.objective == "core":
-        utils.cut_off_preference(actor, task.preference_space)
-    loss = utils.make_td3_loss(cfg, task, actor)
+        cut_off_preference(actor, task.preference_space)
+    loss = make_td3_loss(cfg, task, actor)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
     averaged = make_averaged(cfg, actor)
     optimizers, schedulers = make_optimizers(cfg, loss)
@@ -55,7 +58,7 @@ def main(cfg: DictConfig) -> None:
         return metrics
 
     state = {"loss": loss, "averaged": averaged, **optimizers, **schedulers}
-    training.train(cfg, task, policy, averaged, replay_buffer, update, schedulers, state)
+    off_policy.train(cfg, task, policy, averaged, replay_buffer, update, schedulers, state)
 
 
 if __name__ == "__main__":

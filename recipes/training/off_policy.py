@@ -1,4 +1,4 @@
-"""The loop around a scalarised agent: collect, update, evaluate, save. The agents differ in updates."""
+"""The loop around an off-policy agent: collect, update, evaluate, save. The agents differ in updates."""
 
 from __future__ import annotations
 
@@ -17,8 +17,12 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 
-from recipes.pd_morl import evaluation, files, utils
-from recipes.task import Task
+from . import logs
+from .corners import CornerResult, evaluate_corners
+from .policies import finish, save_training_policy
+from .replay import TRANSITION
+from .run_folder import write_run_info
+from .task import Task
 
 Update = Callable[[TensorDictBase, int, int], dict[str, Tensor]]
 """``update(batch, updates, frames)``: one update of an agent, the count of it from 1, frames so far."""
@@ -33,6 +37,9 @@ def train(
     update: Update,
     schedulers: dict[str, torch.optim.lr_scheduler.LRScheduler],
     state: dict[str, Any],
+    *,
+    after_updates: Callable[[int], None] | None = None,
+    after_evaluation: Callable[[CornerResult], None] | None = None,
 ) -> None:
     """Train an agent and save its policies in the run folder.
 
@@ -45,13 +52,17 @@ def train(
         update: one update of the agent; returns what is logged.
         schedulers: step once a batch of frames.
         state: what a checkpoint holds.
+
+    Keyword Args:
+        after_updates: called after those of a batch of frames, with the frames so far.
+        after_evaluation: called with its result, before anything is saved.
     """
     if cfg.optim.updates_per_batch < 1:
         raise ValueError(
             f"optim.updates_per_batch must be at least 1, got {cfg.optim.updates_per_batch}."
         )
-    files.write_run_info(task.run_dir)
-    loggers = utils.make_loggers(cfg, task.run_dir)
+    write_run_info(task.run_dir)
+    loggers = logs.make_loggers(cfg, task.run_dir)
     collector = Collector(
         task.env,
         policy,
@@ -71,7 +82,7 @@ def train(
     progress = tqdm.tqdm(total=cfg.collector.total_frames, unit="step", smoothing=0.05)
     for data in collector:
         with timeit("extend"):
-            replay_buffer.extend(data.reshape(-1).select(*utils.TRANSITION))
+            replay_buffer.extend(data.reshape(-1).select(*TRANSITION))
         collected, frames = frames, frames + data.numel()
         if anneal is not None:
             anneal(data.numel())
@@ -87,32 +98,28 @@ def train(
                 metrics |= {name: value.detach() for name, value in info.items()}
             for scheduler in schedulers.values():
                 scheduler.step()
+            if after_updates is not None:
+                after_updates(frames)
 
-        if metrics and utils.crossed(cfg.logger.interval, collected, frames):
-            utils.log_training(loggers, metrics, task.preference_space, frames, updates)
-            progress.set_postfix(utils.progress_line(progress, updates, success, score))
+        if metrics and logs.crossed(cfg.logger.interval, collected, frames):
+            logs.log_training(loggers, metrics, task.preference_space, frames, updates)
+            progress.set_postfix(logs.progress_line(progress, updates, success, score))
 
         last = frames >= cfg.collector.total_frames
-        if updates and (last or utils.crossed(cfg.evaluation.interval, collected, frames)):
+        if updates and (last or logs.crossed(cfg.evaluation.interval, collected, frames)):
             with timeit("evaluate"):
-                result = evaluation.evaluate(
+                result = evaluate_corners(
                     cfg, task.eval_env, averaged.module, task.preference_space, task.demonstration
                 )
+            if after_evaluation is not None:
+                after_evaluation(result)
             score, success = result.score, result.success
-            utils.log_metrics(loggers, result.metrics, frames)
+            logs.log_metrics(loggers, result.metrics, frames)
             checkpoints.save(Checkpoint(**state), step=frames, metadata={"score": score})
             folder = task.run_dir / "policies" / f"{frames:09d}"
-            files.save_training_policy(
-                folder,
-                cfg,
-                averaged.module,
-                task.preference_space,
-                result,
-                task.demo_card,
-                **task.facts,
-            )
+            save_training_policy(folder, cfg, averaged.module, task, result)
             tqdm.tqdm.write(result.table(frames))
     progress.close()
     collector.shutdown()
     timeit.print()
-    files.finish(task.run_dir, cfg)
+    finish(task.run_dir, cfg)

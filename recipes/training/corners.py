@@ -19,11 +19,9 @@ from envs.policy_env import simulated
 from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
 from torchrl_morl.preferences import PreferenceSpace
 
-from .utils import evaluation_arguments
-
 
 @dataclasses.dataclass(frozen=True)
-class Evaluation:
+class CornerResult:
     """Deterministic episodes at the corner preferences and at their mean."""
 
     names: tuple[str, ...]
@@ -58,13 +56,13 @@ class Evaluation:
         return "\n".join(lines)
 
 
-def evaluate(
+def evaluate_corners(
     cfg: DictConfig,
     env: EnvBase,
     actor: TensorDictModule,
     preference_space: PreferenceSpace,
     demonstration: TensorDict | None,
-) -> Evaluation:
+) -> CornerResult:
     corners = preference_space.corners()
     preferences = torch.cat((corners, corners.mean(0, keepdim=True)))
     data = rollout_preferences(
@@ -91,7 +89,7 @@ def evaluate(
         )
         columns["frechet"] = frechet[:, demonstration["free"]].mean(-1)
         columns["frechet all"] = frechet.mean(-1)
-    return Evaluation(
+    return CornerResult(
         names=(*preference_space.tunable, "balanced"),
         columns={name: values.tolist() for name, values in columns.items()},
         key_solutions=returns[: len(corners)].mean(1)[:, list(preference_space.tunable_indices)],
@@ -112,3 +110,15 @@ def demonstrated(cfg: DictConfig, card: dict[str, Any]) -> TensorDict | None:
     env.close()
     del kwargs["num_envs"], kwargs["seed"]
     return demonstrated_paths(CircleDemonstrator(**card["demonstrator"]), start, **kwargs)
+
+
+def evaluation_arguments(cfg: DictConfig) -> dict[str, Any]:
+    """Of :func:`make_policy_env`: the training's own but for the scenes."""
+    changed = cfg.evaluation
+    return {
+        **cfg.env,
+        "num_envs": changed.episodes,
+        "scene": changed.scene,
+        "seed": changed.seed,
+        "repeat_failed": 0.0,
+    }

@@ -1,8 +1,8 @@
-"""How networks are updated: gradients, compiled or not, and the optimizers."""
+"""Gradients of the networks, compiled or not, in float32 or by automatic mixed precision."""
 
 from __future__ import annotations
 
-import math
+import functools
 import os
 import shutil
 import warnings
@@ -32,7 +32,7 @@ def use_bfloat16(asked: bool | None, device: torch.device) -> bool:
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
 
 
-def _compiled(cfg: DictConfig, function: Callable) -> Callable:
+def _compiled(cfg: DictConfig, function: Gradients) -> Gradients:
     """One graph of the function, if asked for and if a C++ compiler is there."""
     if not cfg.compute.compile:
         return function
@@ -44,11 +44,9 @@ def _compiled(cfg: DictConfig, function: Callable) -> Callable:
             stacklevel=2,
         )
         return function
-    # PyTorch 2.13 traces a backward pass only if told to.
-    torch._dynamo.config.trace_autograd_ops = True
     # Isolated: critics and actor have their gradients from the same code, and neither's graph is to be
     # held against the guards of the other's.
-    return torch.compile(
+    compiled = torch.compile(
         function,
         fullgraph=True,
         isolate_recompiles=True,
@@ -57,6 +55,14 @@ def _compiled(cfg: DictConfig, function: Callable) -> Callable:
             "guard_filter_fn": _guards,
         },
     )
+
+    @functools.wraps(function)
+    def run(batch: TensorDictBase) -> dict[str, Tensor]:
+        # PyTorch 2.13 traces a backward pass only if told to: here, and nowhere else in the process.
+        with torch._dynamo.config.patch(trace_autograd_ops=True):
+            return compiled(batch)
+
+    return run
 
 
 def _guards(guards: Sequence) -> list[bool]:
@@ -76,8 +82,9 @@ def make_gradients(cfg: DictConfig, loss: MOTD3Loss) -> tuple[Gradients, Gradien
     second graph would add to each update.
     """
     device = torch.device(cfg.device)
-    enabled = use_bfloat16(cfg.compute.bfloat16, device)
-    precision = torch.autocast(device.type, torch.bfloat16, enabled=enabled)
+    precision = torch.autocast(
+        device.type, torch.bfloat16, enabled=use_bfloat16(cfg.compute.bfloat16, device)
+    )
 
     def gradients(network: str, function: Loss) -> Gradients:
         params = getattr(loss, f"{network}_network_params").flatten_keys().values()
@@ -95,39 +102,3 @@ def make_gradients(cfg: DictConfig, loss: MOTD3Loss) -> tuple[Gradients, Gradien
         return _compiled(cfg, run)
 
     return gradients("qvalue", loss.value_loss), gradients("actor", loss.actor_loss)
-
-
-def make_optimizers(
-    cfg: DictConfig, loss: MOTD3Loss
-) -> tuple[dict[str, torch.optim.Optimizer], dict[str, torch.optim.lr_scheduler.LRScheduler]]:
-    """Adam for each network, with a cosine from ``lr`` to ``final_lr_ratio * lr``."""
-    optimizers = {
-        "actor": torch.optim.Adam(
-            loss.actor_network_params.flatten_keys().values(), lr=cfg.optim.lr, fused=True
-        ),
-        "critic": torch.optim.Adam(
-            loss.qvalue_network_params.flatten_keys().values(), lr=cfg.optim.lr, fused=True
-        ),
-    }
-    batches = cfg.collector.total_frames / cfg.collector.frames_per_batch
-
-    def decay(batch: int) -> float:
-        share = min(1.0, batch / batches)
-        ratio = cfg.optim.final_lr_ratio
-        return ratio + (1 - ratio) * 0.5 * (1 + math.cos(math.pi * share))
-
-    schedulers = {
-        f"{name}_schedule": torch.optim.lr_scheduler.LambdaLR(optimizer, decay)
-        for name, optimizer in optimizers.items()
-    }
-    return optimizers, schedulers
-
-
-def step(optimizer: torch.optim.Optimizer, loss: Tensor, max_grad_norm: float) -> dict[str, Tensor]:
-    """One optimizer step with clipped gradients; returns the gradient's norm before clipping."""
-    optimizer.zero_grad(set_to_none=True)
-    loss.backward()
-    parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    norm = nn.utils.clip_grad_norm_(parameters, max_grad_norm)
-    optimizer.step()
-    return {"grad_norm": norm.detach()}

@@ -19,7 +19,7 @@ from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
 
-SHIPPED_POLICY = Path(__file__).parent / "policies" / "navigation"
+SHIPPED_POLICY = Path(__file__).parents[1] / "policies" / "navigation"
 GOAL_RADIUS = 0.3
 
 

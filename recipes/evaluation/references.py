@@ -158,7 +158,7 @@ REFERENCES: dict[str, Callable[..., TensorDictModuleBase]] = {
 def make_reference(
     name: str, robot: str | Robot = TURTLEBOT2, **arguments: Any
 ) -> TensorDictModuleBase:
-    """A reference as :func:`recipes.sweep.sweep` drives it: its actions are in [-1, 1].
+    """A reference as :func:`recipes.evaluation.sweep.sweep` drives it: its actions are in [-1, 1].
 
     Args:
         name: from :data:`REFERENCES`.

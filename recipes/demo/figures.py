@@ -18,9 +18,8 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from envs import HUMAN_RADIUS, NavigationEnv
+from recipes.evaluation.sweep import Sweep
 from torchrl_morl.evaluation import PREFERENCE_COLORS, draw_paths, draw_scene
-
-from .sweep import Sweep
 
 _LABELS = {
     "min_human_distance": "smallest distance to the human / m",

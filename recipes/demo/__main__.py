@@ -14,12 +14,12 @@ import torch
 import tqdm
 
 from envs.demonstrations import CircleDemonstrator
+from recipes.evaluation.sweep import GOAL_RADIUS, SHIPPED_POLICY, edge, observed_by, sweep
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import steerability
 
 from .figures import Row, sweep_figure, switch_figure
 from .film import film
-from .sweep import GOAL_RADIUS, SHIPPED_POLICY, edge, observed_by, sweep
 from .switch import switch
 
 

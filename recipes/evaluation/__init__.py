@@ -1,0 +1,1 @@
+"""Policies in fixed scenes: sweeps over preferences, and drivers without reinforcement learning beside them."""

@@ -1,0 +1,51 @@
+"""Batches of frames: what an update reads of them, and which episodes in them fail."""
+
+from __future__ import annotations
+
+import torch
+from omegaconf import DictConfig
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
+
+from recipes.training.task import Task
+
+BATCH = (
+    "observation",
+    "preference",
+    "noisy_action",
+    "noisy_action_log_prob",
+    "advantage",
+    "value_target",
+    "start_action",
+    "human",
+    "fails",
+    ("next", "observation"),
+    ("next", "done"),
+)
+"""What an update reads of a transition."""
+
+
+def failed(data: TensorDictBase) -> Tensor:
+    """Which steps end an episode, and not at the goal, ``[E, T, 1]``."""
+    return data["next", "done"] & ~data["next", "success"]
+
+
+def failure_rate(data: TensorDictBase) -> Tensor:
+    """Share of the episodes ending in a batch that do not end at the goal; NaN where none ends."""
+    return failed(data).sum() / data["next", "done"].sum()
+
+
+def failing(data: TensorDictBase) -> Tensor:
+    """Which steps belong to an episode that ends in this batch, and not at the goal, ``[E, T]``."""
+    episode = data["collector", "traj_ids"]
+    return torch.isin(episode, episode[failed(data).squeeze(-1)])
+
+
+def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
+    """Gives out one batch of frames, shuffled, in small batches."""
+    return TensorDictReplayBuffer(
+        storage=LazyTensorStorage(cfg.collector.frames_per_batch, device=task.device),
+        sampler=SamplerWithoutReplacement(drop_last=True),
+        batch_size=cfg.optim.batch_size,
+    )

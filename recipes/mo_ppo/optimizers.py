@@ -1,0 +1,85 @@
+"""Optimizers, the schedule of the learning rate, and where a run that was cut short goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from omegaconf import DictConfig
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.objectives import ClipPPOLoss
+
+
+def make_optimizers(cfg: DictConfig, loss: ClipPPOLoss) -> dict[str, torch.optim.Optimizer]:
+    """Adam for each network."""
+    return {
+        "actor": torch.optim.Adam(
+            loss.actor_network_params.flatten_keys().values(), lr=cfg.optim.lr, fused=True
+        ),
+        "critic": torch.optim.Adam(
+            loss.critic_network_params.flatten_keys().values(), lr=cfg.optim.critic_lr, fused=True
+        ),
+    }
+
+
+def make_schedule(
+    cfg: DictConfig, optimizer: torch.optim.Optimizer, frames: int, begin: int
+) -> torch.optim.lr_scheduler.LambdaLR:
+    """Lets the actor's rate fall linearly to a twentieth until the end of the training.
+
+    Args:
+        cfg: the configuration; the rate is that of ``optim.lr``, also where the optimizer was loaded.
+        optimizer: of the actor.
+        frames: how many have been collected already.
+        begin: after how many frames it begins to fall: 0, or, of a run that goes on from one that was
+            over, those of that one. The rate then falls anew, a warm restart
+            (https://arxiv.org/abs/1608.03983).
+    """
+    size = cfg.collector.frames_per_batch
+    batches = -(-(cfg.collector.total_frames - begin) // size)
+    waits = cfg.optim.critic_batches if begin == 0 else 0
+    done, updates = max(0, (frames - begin) // size - waits), max(1, batches - waits)
+    for group in optimizer.param_groups:
+        group["lr"] = group["initial_lr"] = cfg.optim.lr
+    return torch.optim.lr_scheduler.LambdaLR(
+        optimizer, lambda step: 1 - 0.95 * min(1.0, step / updates), last_epoch=done - 1
+    )
+
+
+def resume(cfg: DictConfig, state: Checkpoint) -> tuple[int, int]:
+    """Load the last checkpoint of the run that ``resume`` names, if it names one.
+
+    Args:
+        cfg: the configuration; what it changes holds from here on.
+        state: of what a checkpoint holds.
+
+    Returns:
+        How many frames it has seen, and after how many the schedule of the learning rate begins: see
+        :func:`make_schedule`.
+
+    Raises:
+        FileNotFoundError: if there is no checkpoint.
+        ValueError: if nothing is left to be done, or if the checkpoint does not say where it stands.
+    """
+    if cfg.resume is None:
+        return 0, 0
+    latest = CheckpointRotation(Path(cfg.resume) / "checkpoints", keep_last=1).latest()
+    if latest is None:
+        raise FileNotFoundError(
+            f"resume={cfg.resume} has no checkpoint: it must be the folder of a run of MO-PPO that "
+            "has been evaluated at least once."
+        )
+    metadata = Checkpoint.manifest(latest)["metadata"]
+    if missing := {"frames", "schedule"} - metadata.keys():
+        raise ValueError(
+            f"resume={cfg.resume}: its checkpoint lacks {sorted(missing)}, as those of earlier "
+            "versions do. Go on with the version that wrote it, or start anew."
+        )
+    frames = metadata["frames"]
+    if frames >= cfg.collector.total_frames:
+        raise ValueError(
+            f"resume={cfg.resume} has seen {frames} frames already: collector.total_frames must be "
+            f"greater, got {cfg.collector.total_frames}."
+        )
+    state.load(latest)
+    return frames, metadata["schedule"]

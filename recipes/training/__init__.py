@@ -1,0 +1,1 @@
+"""What the trainings share: task, agent, replay, gradients, optimizers, the off-policy loop, logs, run folder."""

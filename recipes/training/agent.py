@@ -1,0 +1,83 @@
+"""The networks of a trained agent: actor, exploring policy, vector critic, averaged actor."""
+
+from __future__ import annotations
+
+import torch
+from omegaconf import DictConfig
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torchrl.modules import AdditiveGaussianModule
+
+import torchrl_morl.modules
+from envs.policy_env import observation_size
+from envs.straight_drive import StraightDriveValue
+from torchrl_morl.modules import make_vector_critic
+
+from .task import Task
+
+
+def make_actor(cfg: DictConfig, task: Task) -> TensorDictSequential:
+    """The actor: observation and preference to an action in [-1, 1]."""
+    return torchrl_morl.modules.make_actor(
+        task.env.action_spec_unbatched,
+        in_features=observation_size(cfg.env) + task.preference_space.num_tunable,
+        num_cells=cfg.network.num_cells,
+        device=task.device,
+    )
+
+
+def make_policy(cfg: DictConfig, task: Task) -> tuple[TensorDictSequential, TensorDictSequential]:
+    """The actor, and the actor followed by exploration noise, which is its last module."""
+    actor = make_actor(cfg, task)
+    spec = task.env.action_spec_unbatched
+    noise = AdditiveGaussianModule(
+        spec=spec,
+        sigma_init=cfg.collector.exploration_sigma,
+        sigma_end=cfg.collector.final_exploration_sigma,
+        annealing_num_steps=cfg.collector.total_frames,
+        device=task.device,
+    )
+    return actor, TensorDictSequential(actor, noise)
+
+
+def make_critic(cfg: DictConfig, task: Task, num_values: int) -> TensorDictModule:
+    """A critic with so many values of a state, a preference and an action."""
+    action_size = task.env.action_spec_unbatched.shape[-1]
+    return make_vector_critic(
+        num_values,
+        in_features=observation_size(cfg.env) + task.preference_space.num_tunable + action_size,
+        num_cells=cfg.network.num_cells,
+        layer_norm=cfg.network.critic_layer_norm,
+        device=task.device,
+    )
+
+
+def make_straight_drive_value(cfg: DictConfig, task: Task) -> StraightDriveValue:
+    """The value of driving straight to the goal, which critics need not learn."""
+    return StraightDriveValue(
+        task.preference_space.objectives,
+        gamma=cfg.loss.gamma,
+        reward_scale=cfg.replay_buffer.reward_scale,
+        robot=cfg.env.robot,
+        goal_radius=cfg.env.goal_radius,
+    )
+
+
+def add_straight_drive(
+    critic: TensorDictModule, value: nn.Module, in_keys: list[str]
+) -> TensorDictSequential:
+    """A critic whose network learns only what is left of the values."""
+    (key,) = critic.out_keys
+    return TensorDictSequential(
+        critic,
+        TensorDictModule(value, in_keys=in_keys, out_keys=["straight_drive_value"]),
+        TensorDictModule(torch.add, in_keys=[key, "straight_drive_value"], out_keys=[key]),
+    )
+
+
+def make_averaged(cfg: DictConfig, actor: TensorDictModule) -> AveragedModel:
+    """The policy that is evaluated and saved."""
+    return AveragedModel(
+        actor, multi_avg_fn=get_ema_multi_avg_fn(cfg.optim.actor_average), use_buffers=False
+    )

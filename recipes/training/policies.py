@@ -1,0 +1,58 @@
+"""The policies that a training saves in its run folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+from tensordict.nn import TensorDictSequential
+from torch import nn
+
+from envs.policy_env import observation_size
+from torchrl_morl.deploy import save_policy
+
+from .corners import CornerResult
+from .task import Task
+
+
+def save_training_policy(
+    folder: Path,
+    cfg: DictConfig,
+    actor: TensorDictSequential,
+    task: Task,
+    result: CornerResult,
+    **facts: Any,
+) -> None:
+    """Save a policy whose card tells what made it, how it did, and other ``facts``."""
+    card = {
+        **task.facts,
+        **facts,
+        "config": OmegaConf.to_container(cfg, resolve=True),
+        "evaluation": {"preferences": result.names, **result.columns},
+        "score": result.score,
+    }
+    if task.demo_card is not None and "demonstrator" in task.demo_card:
+        card["demonstrator"] = task.demo_card["demonstrator"]
+    save_policy(
+        folder,
+        actor,
+        preference_space=task.preference_space,
+        observation_size=observation_size(cfg.env),
+        action_size=2,
+        num_cells=tuple(m.out_features for m in actor[0].module if isinstance(m, nn.Linear))[:-1],
+        card=card,
+    )
+
+
+def finish(run_dir: Path, cfg: DictConfig) -> None:
+    """Point to the results."""
+    policies = sorted((run_dir / "policies").glob("*"))
+
+    def score(folder: Path) -> float:
+        return json.loads((folder / "policy.json").read_text())["card"]["score"]
+
+    if policies:
+        best = max(policies, key=score)
+        print(f"best policy: {best} (score {score(best):.2f}); last policy: {policies[-1]}")

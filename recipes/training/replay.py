@@ -1,0 +1,64 @@
+"""The replay buffer of off-policy agents: vector rewards, preferences redrawn when sampled."""
+
+from __future__ import annotations
+
+import torch
+from omegaconf import DictConfig
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs import Compose, RewardScaling
+
+from torchrl_morl.data import load_demonstrations
+from torchrl_morl.transforms import PreferenceRelabel, RewardModelReward
+
+from .task import Task, check_observation
+
+TRANSITION = (
+    "observation",
+    "preference",
+    "action",
+    *(
+        ("next", key)
+        for key in ("observation", "preference", "reward", "done", "terminated", "truncated")
+    ),
+)
+"""What the replay buffer keeps."""
+
+
+def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
+    """A buffer that relabels what it gives out, with demonstrations in it if there are any.
+
+    A sample is for all updates of a batch of frames at once: it costs hardly more than one for one.
+    """
+    replay_buffer = TensorDictReplayBuffer(
+        storage=LazyTensorStorage(cfg.replay_buffer.size, device=task.device),
+        batch_size=cfg.optim.updates_per_batch * cfg.replay_buffer.batch_size,
+        transform=Compose(
+            RewardScaling(0.0, cfg.replay_buffer.reward_scale, in_keys=[("next", "reward")]),
+            PreferenceRelabel(
+                task.preference_space,
+                ratio=cfg.preference.relabel_ratio,
+                distribution=cfg.preference.relabel_distribution,
+                seed=cfg.seed,
+            ),
+        ),
+    )
+    if cfg.demonstrations.dataset:
+        prefill(cfg, task, replay_buffer)
+    return replay_buffer
+
+
+def prefill(cfg: DictConfig, task: Task, replay_buffer: TensorDictReplayBuffer) -> None:
+    """Put demonstrations into the buffer: vector rewards make them experience like any other."""
+    preference_space = task.preference_space
+    data, _ = load_demonstrations(cfg.demonstrations.dataset)
+    check_observation(cfg, cfg.demonstrations.dataset, data["observation"].shape[-1])
+    data = data[: cfg.demonstrations.prefill]
+    data = data[data["mask"]]
+    preference = torch.zeros(len(data), preference_space.num_tunable)
+    preference[:, preference_space.tunable.index("demo")] = 1.0
+    data["preference"] = preference
+    data["next", "preference"] = preference.clone()
+    data = RewardModelReward(task.reward_model, position=preference_space.objectives.index("demo"))(
+        data
+    )
+    replay_buffer.extend(data.select(*TRANSITION))

@@ -1,0 +1,125 @@
+"""What an agent is given: environments, preferences, demonstrations."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from tensordict import TensorDict
+from torchrl.envs import EnvBase
+
+from envs import NavigationEnv
+from envs.policy_env import make_policy_env, observation_size
+from torchrl_morl.deploy import load_reward_model
+from torchrl_morl.modules import RewardModel
+from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.transforms import PreferenceSampler
+
+from .corners import demonstrated, evaluation_arguments
+from .gradients import use_bfloat16
+from .run_folder import check_run_dir
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """What every agent is given."""
+
+    run_dir: Path
+    device: torch.device
+    preference_space: PreferenceSpace
+    env: EnvBase
+    """Where it trains."""
+    eval_env: EnvBase
+    reward_model: RewardModel | None
+    demo_card: dict[str, Any] | None
+    demonstration: TensorDict | None
+    """What the demonstrator does in the scenes of the evaluation."""
+    facts: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """For the cards of its policies."""
+
+
+def make_task(cfg: DictConfig) -> Task:
+    """Environments, preferences and demonstrations as in PD-MORL; nothing is written yet.
+
+    Raises:
+        FileExistsError: if the run folder holds policies.
+        ValueError: for a configuration that the environment refuses.
+    """
+    torch.set_num_threads(cfg.compute.torch_threads)
+    torch.manual_seed(cfg.seed)
+    run_dir = Path(HydraConfig.get().runtime.output_dir)
+    check_run_dir(run_dir)
+    if not 0 < cfg.loss.gamma <= 1:
+        raise ValueError(f"loss.gamma must be in (0, 1], got {cfg.loss.gamma}.")
+    device = torch.device(cfg.device)
+    demo = load_demonstration_objective(cfg)
+    reward_model, demo_card = demo if demo else (None, None)
+    preference_space = make_preference_space(with_demonstrations=demo is not None)
+    return Task(
+        run_dir=run_dir,
+        device=device,
+        preference_space=preference_space,
+        env=make_train_env(cfg, preference_space, reward_model),
+        eval_env=make_eval_env(cfg, preference_space, reward_model),
+        reward_model=reward_model,
+        demo_card=demo_card,
+        demonstration=demonstrated(cfg, demo_card) if demo else None,
+        # What null in the configuration became; scalarised agents have no such field.
+        facts={"bfloat16": use_bfloat16(cfg.compute.get("bfloat16", False), device)},
+    )
+
+
+def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | None:
+    """The reward model that adds the objective "demo", and its card; ``None`` without one."""
+    folder = cfg.demonstrations.reward_model
+    if folder is None and cfg.demonstrations.get("dataset") is not None:
+        raise ValueError(
+            "demonstrations.dataset needs demonstrations.reward_model: without one there is no "
+            'objective "demo" for them.'
+        )
+    if folder is None:
+        return None
+    model, card = load_reward_model(folder)
+    size = model.in_features - 2 * ("action" in model.in_keys)
+    check_observation(cfg, folder, size)
+    return model, card
+
+
+def check_observation(cfg: DictConfig, source: str, size: int) -> None:
+    """Refuse what was made with another observation than the one of this training."""
+    expected = observation_size(cfg.env)
+    if size != expected:
+        raise ValueError(
+            f"{source} is about observations of {size} entries, here they have {expected}: both "
+            "recipes must be given the same env.observe_human and env.observe_human_velocity."
+        )
+
+
+def make_preference_space(with_demonstrations: bool) -> PreferenceSpace:
+    """The core objective always counts once; the user weighs the others."""
+    core, *others = NavigationEnv.objectives
+    names = (core, *(["demo"] if with_demonstrations else []), *others)
+    return PreferenceSpace(names, static={core: 1.0})
+
+
+def make_train_env(
+    cfg: DictConfig, preference_space: PreferenceSpace, reward_model: RewardModel | None
+) -> EnvBase:
+    sampler = PreferenceSampler(
+        preference_space,
+        distribution=cfg.preference.distribution,
+        num_segments=cfg.preference.num_segments,
+        seed=cfg.seed,
+    )
+    return make_policy_env(sampler, reward_model=reward_model, seed=cfg.seed, **cfg.env)
+
+
+def make_eval_env(
+    cfg: DictConfig, preference_space: PreferenceSpace, reward_model: RewardModel | None
+) -> EnvBase:
+    sampler = PreferenceSampler(preference_space)
+    return make_policy_env(sampler, reward_model=reward_model, **evaluation_arguments(cfg))
