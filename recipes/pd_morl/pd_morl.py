@@ -19,11 +19,10 @@ from recipes.training import off_policy
 from recipes.training.agent import make_averaged, make_policy
 from recipes.training.corners import CornerResult
 from recipes.training.gradients import make_gradients
+from recipes.training.loss import make_loss, pre_tanh_coeff
 from recipes.training.optimizers import make_optimizers
 from recipes.training.replay import make_replay_buffer
 from recipes.training.task import make_task
-
-from .loss import make_loss, pre_tanh_coeff
 
 
 @hydra.main(version_base="1.3", config_path="", config_name="config")

@@ -5,10 +5,11 @@ from __future__ import annotations
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictModule
 
-from recipes.training.agent import add_straight_drive, make_critic, make_straight_drive_value
-from recipes.training.task import Task
 from torchrl_morl.modules import PreferenceInterpolator
 from torchrl_morl.objectives import MOTD3Loss
+
+from .agent import add_straight_drive, make_critic, make_straight_drive_value
+from .task import Task
 
 
 def make_loss(cfg: DictConfig, task: Task, actor: TensorDictModule) -> MOTD3Loss:
