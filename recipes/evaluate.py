@@ -18,12 +18,12 @@ import tqdm
 from torch import Tensor
 
 from envs import ROBOTS, SCENES, Faults
-from envs.demonstrations import CircleDemonstrator
 from envs.mjcf import Drive
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
-from .evaluation.sweep import GOAL_RADIUS, SHIPPED_POLICY, edge, observed_by, sweep
+from .evaluation.setting import Setting, choose, demonstrator
+from .evaluation.sweep import SHIPPED_POLICY, Sweep, edge, sweep
 
 
 def parse_preferences(texts: list[str], preference_space: PreferenceSpace) -> Tensor:
@@ -47,9 +47,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
-    parser.add_argument("--scene", default="static", choices=sorted(SCENES))
-    parser.add_argument("--robot", default="turtlebot2", choices=sorted(ROBOTS))
-    parser.add_argument("--drive", default="planar", choices=get_args(Drive))
+    parser.add_argument(
+        "--scene", help=f"{', '.join(SCENES)}, or a .yaml file (default: that of the training)"
+    )
+    parser.add_argument(
+        "--robot", help=f"{', '.join(ROBOTS)}, or a .yaml file (default: that of the training)"
+    )
+    parser.add_argument("--drive", choices=get_args(Drive), help="default: that of the training")
     parser.add_argument("--episodes", type=int, default=100, help="scenes per preference")
     parser.add_argument("--seed", type=int, default=7, help="of the scenes")
     parser.add_argument(
@@ -57,7 +61,7 @@ def main() -> None:
         nargs="+",
         metavar="P",
         help="comma-separated weights in the order of the policy's tunable objectives "
-        "(default: 11 from efficiency to distance)",
+        "(default: 11 from the last objective to the one before it)",
     )
     parser.add_argument(
         "--grid", action="store_true", help="the test grid of the paper: all edges, 11 steps each"
@@ -71,15 +75,15 @@ def main() -> None:
     torch.set_num_threads(1)
     try:
         actor, preference_space, card = load_policy(args.policy)
-        demonstrator = None
-        if "demonstrator" in card:
-            demonstrator = CircleDemonstrator(**card["demonstrator"] | {"robot": args.robot})
+        setting = choose(card, scene=args.scene, robot=args.robot, drive=args.drive)
         if args.preferences:
             preferences = parse_preferences(args.preferences, preference_space)
         elif args.grid:
             preferences = preference_space.pairwise_grid(11)
         else:
-            preferences = edge(preference_space, "efficiency", "distance")
+            # From the last objective to the one before it: efficiency to distance.
+            last = preference_space.tunable[-1]
+            preferences = edge(preference_space, last, preference_space.tunable[-2:][0])
         faults = Faults(args.range_noise, args.dropout, args.velocity_noise, args.latency)
         if args.episodes < 1:
             raise ValueError(f"--episodes must be at least 1, got {args.episodes}.")
@@ -92,14 +96,10 @@ def main() -> None:
             preferences,
             episodes=args.episodes,
             seed=args.seed,
-            scene=args.scene,
-            robot=args.robot,
-            drive=args.drive,
-            goal_radius=GOAL_RADIUS,
             faults=faults,
-            demonstrator=demonstrator,
+            demonstrator=demonstrator(card, setting.robot),
             on_preference=lambda _: progress.update(),
-            **observed_by(card),
+            **setting.arguments,
         )
     print(result.table())
     metrics = result.metrics
@@ -110,13 +110,23 @@ def main() -> None:
         f"collisions {100 * collisions.float().mean():.2f} %, "
         f"timeouts {100 * metrics['timeout'].float().mean():.2f} %"
     )
-    fastest = preferences[:, preference_space.tunable.index("efficiency")].argmax()
+    if "efficiency" in preference_space.tunable:
+        print(time_beside_the_straight_line(result, setting))
+
+
+def time_beside_the_straight_line(result: Sweep, setting: Setting) -> str:
+    """How long the preference takes that weighs efficiency most, and what a free way would take."""
+    metrics, speed = result.metrics, setting.robot.max_speed
+    entry = result.preference_space.tunable.index("efficiency")
+    fastest = result.preferences[:, entry].argmax()
     solved = metrics["success"][fastest]
     time = metrics["time"][fastest][solved].mean()
-    bound = ((metrics["direct_distance"][fastest] - GOAL_RADIUS) / 0.5)[solved].mean()
-    print(
-        f"preference {preferences[fastest].tolist()}: mean time {time:.2f} s = {time / bound:.3f} x "
-        f"(start-goal distance - goal radius) / 0.5 m/s (n = {int(solved.sum())})"
+    way = metrics["direct_distance"][fastest] - setting.goal_radius
+    bound = (way / speed)[solved].mean()
+    return (
+        f"preference {result.preferences[fastest].tolist()}: mean time {time:.2f} s = "
+        f"{time / bound:.3f} x (start-goal distance - goal radius) / {speed:g} m/s "
+        f"(n = {int(solved.sum())})"
     )
 
 

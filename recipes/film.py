@@ -16,7 +16,8 @@ from envs import ROBOTS, SCENES
 from torchrl_morl.deploy import load_policy
 
 from .demo.film import film
-from .evaluation.sweep import SHIPPED_POLICY, observed_by
+from .evaluation.setting import choose
+from .evaluation.sweep import SHIPPED_POLICY
 
 
 def main() -> None:
@@ -25,8 +26,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
-    parser.add_argument("--scene", default="showcase", choices=sorted(SCENES))
-    parser.add_argument("--robot", default="turtlebot2", choices=sorted(ROBOTS))
+    parser.add_argument("--scene", default="showcase", help=f"{', '.join(SCENES)}, or a .yaml file")
+    parser.add_argument(
+        "--robot", help=f"{', '.join(ROBOTS)}, or a .yaml file (default: that of the training)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the scene")
     parser.add_argument("--output", type=Path, required=True, help="file to write, .gif or .mp4")
     args = parser.parse_args()
@@ -37,16 +40,16 @@ def main() -> None:
     torch.set_num_threads(1)
     try:
         actor, preference_space, card = load_policy(args.policy)
+        setting = choose(card, scene=args.scene, robot=args.robot)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    where = {"scene": args.scene, "robot": args.robot, "seed": args.seed}
     movie = film(
         args.output,
         actor,
         preference_space,
         preference_space.corners(),
-        **where,
-        **observed_by(card),
+        seed=args.seed,
+        **setting.arguments,
     )
     print(f"film: {movie}")
 

@@ -13,8 +13,9 @@ from pathlib import Path
 import torch
 import tqdm
 
-from envs.demonstrations import CircleDemonstrator
-from recipes.evaluation.sweep import GOAL_RADIUS, SHIPPED_POLICY, edge, observed_by, sweep
+from recipes.evaluation.setting import choose, demonstrator
+from recipes.evaluation.sweep import SHIPPED_POLICY, edge, sweep
+from recipes.objectives import known
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import steerability
 
@@ -35,9 +36,9 @@ def main() -> None:
 
     torch.set_num_threads(1)
     actor, preference_space, card = load_policy(args.policy)
-    demonstrator = None
-    if "demonstrator" in card:
-        demonstrator = CircleDemonstrator(**card["demonstrator"])
+    setting = choose(card)
+    shown = demonstrator(card, setting.robot)
+    showroom = {**setting.arguments, "scene": "showcase"}
     args.output.mkdir(parents=True, exist_ok=True)
 
     # The rows of the paper: each trades two objectives off, the others have no weight.
@@ -52,11 +53,9 @@ def main() -> None:
                 preferences,
                 episodes=args.episodes,
                 seed=args.seed,
-                scene="static",
-                goal_radius=GOAL_RADIUS,
-                demonstrator=demonstrator,
+                demonstrator=shown,
                 on_preference=lambda _: progress.update(),
-                **observed_by(card),
+                **setting.arguments,
             )
             showcase = sweep(
                 actor,
@@ -64,10 +63,8 @@ def main() -> None:
                 preferences,
                 episodes=1,
                 seed=0,
-                scene="showcase",
-                goal_radius=GOAL_RADIUS,
-                demonstrator=demonstrator,
-                **observed_by(card),
+                demonstrator=shown,
+                **showroom,
             )
             first, second = (preference_space.tunable[preferences[i].argmax()] for i in (0, -1))
             rows.append(Row(first, second, showcase, statistics))
@@ -77,23 +74,19 @@ def main() -> None:
         print(steered(row))
 
     figure = args.output / "trajectories.png"
-    sweep_figure(figure, rows, goal_radius=GOAL_RADIUS)
-    change = switch(
-        actor,
-        preference_space,
-        edge(preference_space, "efficiency", "distance", 2),
-        goal_radius=GOAL_RADIUS,
-        **observed_by(card),
-    )
+    sweep_figure(figure, rows, goal_radius=setting.goal_radius)
+    # From the last objective to the one before it: quick, then wide.
+    before, after = preference_space.tunable[-1], preference_space.tunable[-2:][0]
+    change = switch(actor, preference_space, edge(preference_space, before, after, 2), **showroom)
     switched = args.output / "switch.png"
     switch_figure(
         switched,
         change.paths,
         change.actions,
         rows[0].showcase.scenes[0],
-        names=("efficiency", "distance", "efficiency, then distance"),
+        names=(before, after, f"{before}, then {after}"),
         switch_step=change.switch_step,
-        goal_radius=GOAL_RADIUS,
+        goal_radius=setting.goal_radius,
     )
     changed = f"\nPreference changed after {change.switch_step * 0.2:.1f} s: "
     if math.isnan(change.separation):
@@ -108,7 +101,7 @@ def main() -> None:
         actor,
         preference_space,
         preference_space.corners(),
-        **observed_by(card),
+        **showroom,
     )
     print(f"Pictures: {figure}, {switched}; film: {movie}")
 
@@ -116,12 +109,14 @@ def main() -> None:
 def steered(row: Row) -> str:
     """Rank correlations between a weight and the metric that it steers."""
     parts = []
-    steers = {"distance": "min_human_distance", "efficiency": "time", "demo": "frechet"}
-    for name in (row.first, row.second):
-        metric = steers[name]
-        weight = row.statistics.preferences[:, row.statistics.preference_space.tunable.index(name)]
-        rho = steerability(weight, row.statistics.mean(metric))
-        parts.append(f"{name} -> {metric}: {rho:+.2f}")
+    for objective in known((row.first, row.second)):
+        if objective.metric not in row.statistics.metrics.keys():
+            parts.append(f"{objective.name}: no {objective.metric}, nobody drives what was shown")
+            continue
+        tunable = row.statistics.preference_space.tunable
+        weight = row.statistics.preferences[:, tunable.index(objective.name)]
+        rho = steerability(weight, row.statistics.mean(objective.metric))
+        parts.append(f"{objective.name} -> {objective.metric}: {rho:+.2f}")
     return "Spearman rho of weight and mean metric: " + ", ".join(parts)
 
 

@@ -19,13 +19,8 @@ from torch import Tensor
 
 from envs import HUMAN_RADIUS, NavigationEnv
 from recipes.evaluation.sweep import Sweep
-from torchrl_morl.evaluation import PREFERENCE_COLORS, draw_paths, draw_scene
-
-_LABELS = {
-    "min_human_distance": "smallest distance to the human / m",
-    "time": "time to the goal / s",
-    "frechet": "Frechet distance to the demonstration / m",
-}
+from recipes.objectives import edge_map, known
+from torchrl_morl.evaluation import draw_paths, draw_scene
 
 
 def _scene(ax: plt.Axes, scene: TensorDict, goal_radius: float) -> None:
@@ -65,33 +60,41 @@ def sweep_figure(path: Path, rows: list[Row], *, goal_radius: float) -> None:
         share = row.statistics.preferences[
             :, row.statistics.preference_space.tunable.index(row.second)
         ]
+        cmap = edge_map(row.first, row.second)
         for ax, result, index in ((line[0], row.showcase, 0), (line[1], row.statistics, 0)):
             _scene(ax, result.scenes[index], goal_radius)
             draw_paths(
-                ax, result.paths["position"][:, index], result.paths["mask"][:, index], share
+                ax,
+                result.paths["position"][:, index],
+                result.paths["mask"][:, index],
+                share,
+                cmap=cmap,
             )
             if result.demonstration is not None:
                 black = result.demonstration[index]
                 ax.plot(*black["position"][black["mask"]].T, color="black", linewidth=1.3)
         line[0].set_title(f"from {row.first} to {row.second}")
         line[1].set_title("a random scene")
-        bar = fig.colorbar(
-            ScalarMappable(Normalize(0, 1), PREFERENCE_COLORS), ax=line[0], pad=0.01, aspect=12
-        )
+        bar = fig.colorbar(ScalarMappable(Normalize(0, 1), cmap), ax=line[0], pad=0.01, aspect=12)
         bar.set_label(f"weight of {row.second}")
-        shown = ["min_human_distance", "time"]
-        if with_demo and "demo" in (row.first, row.second):
-            shown[0 if row.second == "efficiency" or row.first == "efficiency" else 1] = "frechet"
         metrics = row.statistics.metrics
-        for ax, name in zip(line[2:], shown, strict=True):
-            values = metrics[name].float()
+        for ax, objective in zip(line[2:], known((row.first, row.second)), strict=True):
+            if objective.metric not in metrics.keys():
+                ax.set_axis_off()
+                ax.text(
+                    0.5, 0.5, f"no {objective.metric}:\nnobody drives what was shown", ha="center"
+                )
+                continue
+            values = metrics[objective.metric].float()
             # Unlike NumPy's, these know what to say of a policy that never reaches the goal: NaN.
             low, middle, high = values.nanquantile(torch.tensor([0.25, 0.5, 0.75]), dim=1)
-            ax.fill_between(share, low, high, alpha=0.25, color="#0072b2", label="middle half")
-            ax.plot(share, values.nanmean(1), "o-", color="#0072b2", label="mean")
+            ax.fill_between(
+                share, low, high, alpha=0.25, color=objective.color, label="middle half"
+            )
+            ax.plot(share, values.nanmean(1), "o-", color=objective.color, label="mean")
             ax.plot(share, middle, "--", color="0.4", label="median")
             ax.set_xlabel(f"weight of {row.second}")
-            ax.set_ylabel(_LABELS[name])
+            ax.set_ylabel(objective.metric_label)
             ax.grid(alpha=0.3)
             ax.set_title(f"{metrics.shape[1]} random scenes", fontsize=10)
     axes[0, 2].legend(fontsize=8)

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.envs import step_mdp
 
 from envs.policy_env import make_policy_env
-from recipes.evaluation.sweep import GOAL_RADIUS
+from recipes.evaluation.setting import GOAL_RADIUS
 from torchrl_morl.evaluation import PREFERENCE_COLORS
 from torchrl_morl.evaluation.video import write_video
 from torchrl_morl.preferences import PreferenceSpace

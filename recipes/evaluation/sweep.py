@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,12 @@ from torch import Tensor
 
 from envs.demonstrations import CircleDemonstrator, demonstrated_paths
 from envs.metrics import episode_metrics, trajectories
-from envs.policy_env import make_policy_env, observed, simulated
-from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
+from envs.policy_env import make_policy_env, simulated
+from torchrl_morl.evaluation import discrete_frechet, min_clearance, rollout_preferences
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
 
 SHIPPED_POLICY = Path(__file__).parents[1] / "policies" / "navigation"
-GOAL_RADIUS = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Sweep:
     preferences: Tensor
     """``[P, T]``"""
     metrics: TensorDict
-    """``[P, N]``, see :func:`envs.metrics.episode_metrics`."""
+    """``[P, N]``, see :func:`envs.metrics.episode_metrics`, and ``min_clearance`` to boxes, metres."""
     paths: TensorDict
     """``[P, N]``, see :func:`envs.metrics.trajectories`."""
     scenes: TensorDictBase
@@ -78,11 +77,6 @@ class Sweep:
         return "\n".join(lines)
 
 
-def observed_by(card: Mapping[str, Any]) -> dict[str, bool]:
-    """What the policy of that card observes: arguments of :func:`envs.policy_env.make_policy_env`."""
-    return observed(card.get("config", {}).get("env", {}))
-
-
 def sweep(
     actor: TensorDictModule,
     preference_space: PreferenceSpace,
@@ -108,8 +102,8 @@ def sweep(
         max_episode_steps: steps before an episode is truncated.
         demonstrator: what the policy was shown, for the distance to it.
         on_preference: called after each preference, for a progress bar.
-        **env_kwargs: see :func:`envs.policy_env.make_policy_env`; what the policy observes comes
-            from :func:`observed_by`.
+        **env_kwargs: see :func:`envs.policy_env.make_policy_env`; those of a policy's training are
+            in :func:`recipes.evaluation.setting.trained_in`.
 
     Raises:
         ValueError: for preferences off the simplex, and whatever the environment refuses.
@@ -141,9 +135,13 @@ def sweep(
         keep=keep,
         on_preference=on_preference,
     )
+    radius = env.base_env.robot.radius
     env.close()
     start = first[0]
     metrics, paths, demonstration = episode_metrics(rollout), trajectories(rollout), None
+    metrics["min_clearance"] = min_clearance(
+        paths["position"], start["scene", "boxes"], paths["mask"], radius
+    )
     if demonstrator is not None:
         demonstration = demonstrated_paths(
             demonstrator, start, max_episode_steps=max_episode_steps, **simulated(env_kwargs)

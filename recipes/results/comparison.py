@@ -22,15 +22,8 @@ from torchrl_morl.evaluation import (
     t_test,
 )
 
-from .episodes import CONTACT, PERSONAL_SPACE, WORST_FRECHET
+from ..objectives import known
 from .files import Evaluation
-
-STEERED = {
-    "demo": ("frechet", -1),
-    "distance": ("min_human_distance", 1),
-    "efficiency": ("time", -1),
-}
-"""Metric that an objective steers, and the sign of the rank correlation that is asked for."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,32 +133,27 @@ def steering(evaluation: Evaluation) -> dict[str, float]:
     if evaluation.summary["ignores_preference"]:
         return found
     size, preferences = evaluation.edge_steps, evaluation.preferences
-    for entry, objective in enumerate(evaluation.objectives):
-        metric, _ = STEERED[objective]
-        means = np.array([_mean(values) for values in np.moveaxis(evaluation.values(metric), 1, 0)])
+    for entry, objective in enumerate(known(evaluation.objectives)):
+        values = np.moveaxis(evaluation.values(objective.metric), 1, 0)
+        means = np.array([_mean(one) for one in values])
         rho = []
         for start in range(0, len(preferences), size):
             weight = preferences[start : start + size, entry]
             if np.ptp(weight) > 0:
                 rho.append(steerability(torch.tensor(weight), torch.tensor(means[start:][:size])))
-        found[objective] = float(np.mean(rho))
+        found[objective.name] = float(np.mean(rho))
     return found
 
 
 def goodness(evaluation: Evaluation) -> NDArray[np.float64]:
     """How well each preference's behaviour serves each objective, ``[P, K]`` in [0, 1].
 
-    Mean over episodes of: Frechet distance, 1 at 0 m and 0 from 3 m; smallest distance to the human,
-    0 at contact and 1 from 2 m; straight-line time over the time needed, 0 without success.
+    Mean over episodes of what :data:`recipes.objectives.OBJECTIVES` says: Frechet distance, 1 at 0 m
+    and 0 from 3 m; smallest distance to the human, 0 at contact and 1 from 2 m; straight-line time over
+    the time needed, 0 without success.
     """
-    radius_sum = evaluation.values("min_human_distance") - CONTACT
-    served = {
-        "demo": 1 - evaluation.values("frechet") / WORST_FRECHET,
-        "distance": radius_sum / (PERSONAL_SPACE - CONTACT),
-        "efficiency": np.nan_to_num(evaluation.values("straight_time") / evaluation.values("time")),
-    }
-    values = [served[objective].clip(0, 1).mean((0, 2)) for objective in evaluation.objectives]
-    return np.stack(values, axis=-1)
+    served = [one.goodness(evaluation.values) for one in known(evaluation.objectives)]
+    return np.stack([values.clip(0, 1).mean((0, 2)) for values in served], axis=-1)
 
 
 def indicators(evaluation: Evaluation) -> dict[str, float]:

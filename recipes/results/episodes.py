@@ -7,22 +7,15 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from envs import HUMAN_RADIUS, NavigationEnv
-from envs.robots import TURTLEBOT2, get_robot
+from envs.robots import get_robot
 from envs.scenes import get_scene
 from torchrl_morl import evaluation
 from torchrl_morl.evaluation.shortest_path import shortest_path_length
 
-from ..evaluation.sweep import GOAL_RADIUS, Sweep
+from ..evaluation.setting import GOAL_RADIUS
+from ..evaluation.sweep import Sweep
 
 OUTCOMES = ("success", "collision_human", "collision_obstacle", "timeout")
-CONTACT = TURTLEBOT2.radius + HUMAN_RADIUS
-"""Distance between the centres at which a TurtleBot 2 touches the human, metres."""
-
-PERSONAL_SPACE = 2.0
-"""Distance from which on the human does not care, metres: d_thresh of the paper."""
-
-WORST_FRECHET = 3.0
-"""Frechet distance that counts as no likeness at all, metres."""
 
 
 def episode_values(result: Sweep, *, scene: str, robot: str) -> TensorDict:
@@ -72,7 +65,7 @@ def episode_values(result: Sweep, *, scene: str, robot: str) -> TensorDict:
         "min_time_to_collision": evaluation.min_time_to_collision(
             position, human, mask, period, **radii
         ),
-        "min_clearance": evaluation.min_clearance(position, scenes["boxes"], mask, base.radius),
+        "min_clearance": metrics["min_clearance"],
         "path_length": metrics["path_length"],
         "direct_distance": metrics["direct_distance"],
         "shortest_path": shortest,

@@ -28,7 +28,8 @@ from tensordict import TensorDict
 
 from torchrl_morl.evaluation import bootstrap_interval, cluster_rate_interval
 
-from ..evaluation.sweep import GOAL_RADIUS, sweep
+from ..evaluation.setting import GOAL_RADIUS
+from ..evaluation.sweep import sweep
 from .conditions import CHANGES, SCENE_KINDS, condition
 from .episodes import OUTCOMES, episode_values, trajectory_arrays
 from .files import SUMMARY, write_evaluation

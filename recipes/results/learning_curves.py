@@ -11,6 +11,7 @@ starts with the log, after imports and before the compilation of the losses, and
 from __future__ import annotations
 
 import argparse
+import textwrap
 from pathlib import Path
 
 import matplotlib
@@ -19,12 +20,13 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from ..objectives import OBJECTIVES
+
 PANELS = {
     "eval/success": "success, %",
-    "eval/frechet/demo": "Frechet distance at demo, m\n(free way)",
-    "eval/human/distance": "distance to the human\nat distance, m",
-    "eval/time/efficiency": "time at efficiency, s",
+    **{f"eval/{one.column}/{one.name}": one.metric_label for one in OBJECTIVES.values()},
 }
+"""Labels of what is drawn, by its name in the log; objectives that no run has are left out."""
 
 Curves = dict[str, tuple[list[float], list[float]]]
 """Minutes and values of each panel."""
@@ -65,20 +67,25 @@ def draw(runs: dict[str, Curves], path: Path) -> None:
     """
     if path.exists():
         raise FileExistsError(f"{path} exists and is not overwritten: choose another --output.")
+    shown = {
+        tag: label
+        for tag, label in PANELS.items()
+        if any(values for curves in runs.values() for values in curves[tag])
+    }
     figure, axes = pyplot.subplots(
-        1, len(PANELS), figsize=(3.2 * len(PANELS), 3), layout="constrained"
+        1, len(shown), figsize=(3.2 * len(shown), 3), layout="constrained", squeeze=False
     )
-    for axis, (tag, label) in zip(axes, PANELS.items(), strict=True):
+    for axis, (tag, label) in zip(axes[0], shown.items(), strict=True):
         for name, curves in runs.items():
             axis.plot(*curves[tag], label=name)
-        axis.set(xlabel="minutes of training", ylabel=label)
+        axis.set(xlabel="minutes of training", ylabel=textwrap.fill(label, 28))
         # The first evaluations, of a policy that can do nothing yet, would squeeze all others.
         later = [value for curves in runs.values() for value in curves[tag][1][3:]]
         if later:
             margin = 0.1 * (max(later) - min(later)) or 1.0
             axis.set_ylim(min(later) - margin, max(later) + margin)
         axis.grid(alpha=0.3)
-    axes[0].legend()
+    axes[0, 0].legend()
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
     pyplot.close(figure)

@@ -21,8 +21,8 @@ from envs import HUMAN_RADIUS
 from torchrl_morl.evaluation import draw_paths, draw_scene
 from torchrl_morl.geometry import rotate
 
-from ..evaluation.sweep import GOAL_RADIUS
-from .colors import LABELS, edge_map
+from ..evaluation.setting import GOAL_RADIUS
+from ..objectives import OBJECTIVES, edge_map
 from .files import Evaluation
 from .quantitative import STYLE
 
@@ -122,7 +122,12 @@ def qualitative_figure(path: Path, columns: list[Column], *, seed: int = 0) -> N
             bar = fig.colorbar(
                 ScalarMappable(Normalize(0, 1), cmap), ax=list(line), pad=0.01, aspect=25
             )
-            bar.set_ticks([0, 1], labels=[LABELS[low], LABELS[high]], rotation=90, va="center")
+            bar.set_ticks(
+                [0, 1],
+                labels=[OBJECTIVES[low].label, OBJECTIVES[high].label],
+                rotation=90,
+                va="center",
+            )
             bar.ax.tick_params(length=0)
             bar.ax.get_yticklabels()[0].set_va("bottom")
             bar.ax.get_yticklabels()[1].set_va("top")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import textwrap
 from pathlib import Path
 
 import matplotlib
@@ -15,14 +16,12 @@ from numpy.typing import NDArray
 
 from torchrl_morl.evaluation import bootstrap_interval, significance_mark, t_test
 
-from .colors import CORNERS, LABELS, preference_colors
+from ..objectives import known, preference_colors
 from .files import Evaluation
 
 PANELS = {
-    "time": "time to the goal / s",
-    "frechet": "Fréchet distance to\nthe demonstration / m",
-    "min_clearance": "smallest clearance\nto a box / m",
-    "min_human_distance": "smallest distance\nto the human / m",
+    objective.metric: textwrap.fill(objective.metric_label, 24)
+    for objective in known(("efficiency", "demo", "clearance", "distance"))
 }
 _CORE = {"color": "black", "linestyle": ":", "linewidth": 1.2}
 STYLE = {"font.size": 7, "axes.linewidth": 0.6, "xtick.major.width": 0.6, "ytick.major.width": 0.6}
@@ -128,9 +127,9 @@ def _shares(
     """What the preferences are: their entries, stacked."""
     place = np.arange(len(preferences))
     bottom = np.zeros(len(preferences))
-    for entry, name in enumerate(objectives):
+    for entry, objective in enumerate(known(objectives)):
         share = preferences[:, entry]
-        ax.bar(place, share, 0.9, bottom, color=CORNERS[name], label=LABELS[name])
+        ax.bar(place, share, 0.9, bottom, color=objective.color, label=objective.label)
         bottom += share
     if core is not None:
         ax.plot([], [], **_CORE, label=core.system)

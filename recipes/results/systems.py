@@ -15,7 +15,7 @@ from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
 from ..evaluation.references import make_reference
-from ..evaluation.sweep import observed_by
+from ..evaluation.setting import trained_in
 
 _REFERENCE = "reference:"
 
@@ -121,7 +121,9 @@ def load_system(argument: str) -> System:
     for folder, seed, (actor, preference_space, card) in zip(paths, seeds, policies, strict=True):
         digest = hashlib.sha256((folder / "policy.safetensors").read_bytes()).hexdigest()
         source = f"{folder} sha256 {digest[:16]}"
-        members.append(Member(seed, lambda _, actor=actor: actor, source, observed_by(card)))
+        members.append(
+            Member(seed, lambda _, actor=actor: actor, source, trained_in(card).observed)
+        )
         shown = {key: v for key, v in card.get("demonstrator", {}).items() if key != "robot"}
         facts.append((preference_space, shown, card.get("preference") == "ignored"))
     if any(fact != facts[0] for fact in facts):

@@ -14,10 +14,10 @@ from pathlib import Path
 
 from torchrl_morl.evaluation import Interval, significance_mark
 
+from ..objectives import OBJECTIVES
 from . import paper
 from .comparison import (
     QUANTITIES,
-    STEERED,
     indicators,
     ratio_to_bound,
     steering,
@@ -61,16 +61,17 @@ def main_table(evaluations: dict[str, Evaluation]) -> str:
 
 def bounds_table(evaluations: dict[str, Evaluation]) -> str:
     """Time at efficiency = 1 against its bounds, what steers what, and the sweep's indicators."""
-    signs = {name: "+" if sign > 0 else "-" for name, (_, sign) in STEERED.items()}
+    weighed = {name for evaluation in evaluations.values() for name in evaluation.objectives}
+    steered = [objective for objective in OBJECTIVES.values() if objective.name in weighed]
     header = ["system", "time / straight line", "time / shortest way"]
-    header += [f"rho of {name} (ideal {signs[name]}1)" for name in STEERED]
+    header += [f"rho of {one.name} (ideal {one.sign:+d})" for one in steered]
     header += ["hypervolume", "expected utility", "the same, best choice"]
     rows = []
     for name, evaluation in evaluations.items():
         rho, sweep = steering(evaluation), indicators(evaluation)
         numbers = [ratio_to_bound(evaluation, f"{kind}_time") for kind in ("straight", "shortest")]
         cells = [_number(value, 3) for value in numbers]
-        cells += [_number(rho.get(objective), 2, sign=True) for objective in STEERED]
+        cells += [_number(rho.get(one.name), 2, sign=True) for one in steered]
         keys = ("hypervolume", "expected utility", "expected utility, best")
         rows.append([name, *cells, *(_number(sweep.get(key), 3) for key in keys)])
     return markdown(header, rows)

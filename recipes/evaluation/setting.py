@@ -1,0 +1,103 @@
+"""Where a policy was trained to drive, from its card: evaluations, films and demos take place there."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from envs import Robot, Scene, get_robot, get_scene
+from envs.demonstrations import CircleDemonstrator
+from envs.mjcf import Drive
+from envs.policy_env import observed
+
+GOAL_RADIUS = 0.3
+"""Where a card does not say otherwise, metres."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """A scene, a robot and how it drives.
+
+    Args:
+        scene: of the evaluations of the training.
+        robot: that was trained.
+        drive: of it.
+        goal_radius: distance at which the goal is reached, metres.
+        observed: what the policy observes, arguments of :func:`envs.policy_env.make_policy_env`.
+    """
+
+    scene: Scene
+    robot: Robot
+    drive: Drive = "planar"
+    goal_radius: float = GOAL_RADIUS
+    observed: dict[str, bool] = dataclasses.field(default_factory=dict)
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Of :func:`envs.policy_env.make_policy_env`."""
+        names = ("scene", "robot", "drive", "goal_radius")
+        return {name: getattr(self, name) for name in names} | self.observed
+
+    def __str__(self) -> str:
+        return (
+            f"scene {self.scene.name}, robot {self.robot.name}, drive {self.drive}, "
+            f"goal radius {self.goal_radius:g} m"
+        )
+
+
+def trained_in(card: Mapping[str, Any]) -> Setting:
+    """What the card says; static scenes and a TurtleBot 2 where it does not.
+
+    Examples:
+        >>> str(trained_in({"config": {"env": {"robot": "hsr", "drive": "wheels"}}}))
+        'scene static, robot hsr, drive wheels, goal radius 0.3 m'
+    """
+    config = card.get("config") or {}
+    env, evaluation = config.get("env") or {}, config.get("evaluation") or {}
+    return Setting(
+        scene=get_scene(evaluation.get("scene") or "static"),
+        robot=get_robot(env.get("robot") or "turtlebot2"),
+        drive=env.get("drive") or "planar",
+        goal_radius=env.get("goal_radius") or GOAL_RADIUS,
+        observed=observed({name: value for name, value in env.items() if value is not None}),
+    )
+
+
+def choose(
+    card: Mapping[str, Any],
+    *,
+    scene: str | None = None,
+    robot: str | None = None,
+    drive: str | None = None,
+) -> Setting:
+    """The setting of the card, but for what is given; says which, and what that means.
+
+    Raises:
+        ValueError: for a scene or robot that does not exist.
+    """
+    trained = trained_in(card)
+    given = {"scene": scene, "robot": robot, "drive": drive}
+    parse = {"scene": get_scene, "robot": get_robot, "drive": str}
+    changes = {name: parse[name](value) for name, value in given.items() if value is not None}
+    setting = dataclasses.replace(trained, **changes)
+    print(f"{setting}")
+    for name, value in changes.items():
+        before = getattr(trained, name)
+        if name != "scene" and value != before:
+            print(
+                f"note: --{name} {_named(value)} is not what the policy was trained with, "
+                f"{_named(before)}: this measures how well it transfers."
+            )
+    return setting
+
+
+def demonstrator(card: Mapping[str, Any], robot: Robot) -> CircleDemonstrator | None:
+    """Drives what the policy was shown, on a robot; ``None`` for recorded demonstrations, or none."""
+    if "demonstrator" not in card:
+        return None
+    return CircleDemonstrator(**card["demonstrator"] | {"robot": robot})
+
+
+def _named(value: Scene | Robot | str) -> str:
+    return value if isinstance(value, str) else value.name
