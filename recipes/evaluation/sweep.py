@@ -155,15 +155,24 @@ def sweep(
         metrics=metrics,
         paths=paths,
         demonstration=demonstration,
-        scenes=TensorDict(
-            {
-                "start": start["pose"],
-                "human": start["human_pose"],
-                "goal": start["scene", "goal"],
-                "boxes": start["scene", "boxes"],
-            },
-            batch_size=start.batch_size,
-        ),
+        scenes=scene_layout(start),
+    )
+
+
+def scene_layout(start: TensorDictBase) -> TensorDict:
+    """What is where in scenes ``[N]``, from snapshots of a :class:`envs.NavigationEnv`.
+
+    Returns:
+        ``start`` and ``human`` [N, 3], ``goal`` [N, 2], ``boxes`` [N, M, 5].
+    """
+    return TensorDict(
+        {
+            "start": start["pose"],
+            "human": start["human_pose"],
+            "goal": start["scene", "goal"],
+            "boxes": start["scene", "boxes"],
+        },
+        batch_size=start.batch_size,
     )
 
 

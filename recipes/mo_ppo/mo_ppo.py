@@ -23,8 +23,16 @@ from torchrl.envs import RewardScaling
 
 from recipes.training.agent import make_averaged
 from recipes.training.corners import evaluate_corners
-from recipes.training.logs import crossed, log_metrics, make_loggers
+from recipes.training.logs import (
+    announce,
+    crossed,
+    log_metrics,
+    make_loggers,
+    time_shares,
+    warn_if_failing,
+)
 from recipes.training.optimizers import step
+from recipes.training.pictures import trajectories_picture
 from recipes.training.policies import finish, save_training_policy
 from recipes.training.run_folder import write_run_info
 from recipes.training.task import make_task
@@ -66,6 +74,7 @@ def main(cfg: DictConfig) -> None:
     # Nothing is written before the configuration has been accepted.
     write_run_info(task.run_dir)
     loggers = make_loggers(cfg, task.run_dir)
+    announce(cfg, task.run_dir)
 
     collector = Collector(
         env,
@@ -147,11 +156,19 @@ def main(cfg: DictConfig) -> None:
                 # How the policy was trained that it started as.
                 start={name: card[name] for name in ("config", "start") if name in card},
             )
+            trajectories_picture(
+                task.run_dir / "pictures" / f"{frames:09d}.png",
+                task,
+                result,
+                frames=frames,
+                goal_radius=cfg.env.goal_radius,
+            )
             tqdm.tqdm.write(result.table(frames))
             progress.set_postfix(success=f"{result.success:.0f}%", score=f"{result.score:.2f}")
     progress.close()
     collector.shutdown()
-    timeit.print()
+    print(time_shares())
+    warn_if_failing(result.success)
     finish(task.run_dir, cfg)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import torch
 from omegaconf import DictConfig
@@ -12,10 +11,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from envs import NavigationEnv
-from envs.demonstrations import CircleDemonstrator, demonstrated_paths
 from envs.metrics import episode_metrics, trajectories
-from envs.policy_env import simulated
 from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
 from torchrl_morl.preferences import PreferenceSpace
 
@@ -31,6 +27,8 @@ class CornerResult:
     """Mean scaled return of the tunable objectives at each corner, ``[T, T]``."""
     score: float
     """Mean scaled utility over the preferences; picks the best checkpoint."""
+    paths: TensorDict
+    """``[P, N]``, see :func:`envs.metrics.trajectories`."""
 
     @property
     def success(self) -> float:
@@ -82,8 +80,8 @@ def evaluate_corners(
         "human": metrics["min_human_distance"].mean(-1),
         "saturated": (saturated * mask).sum((-2, -1)) / mask.sum((-2, -1)),
     }
+    path = trajectories(data)
     if demonstration is not None:
-        path = trajectories(data)
         frechet = discrete_frechet(
             path["position"], path["mask"], demonstration["position"], demonstration["mask"]
         )
@@ -94,31 +92,5 @@ def evaluate_corners(
         columns={name: values.tolist() for name, values in columns.items()},
         key_solutions=returns[: len(corners)].mean(1)[:, list(preference_space.tunable_indices)],
         score=utility.mean().item(),
+        paths=path,
     )
-
-
-def demonstrated(cfg: DictConfig, card: dict[str, Any]) -> TensorDict | None:
-    """What the demonstrator does in the scenes of the evaluation.
-
-    ``None`` for the reward model of recorded demonstrations: nobody drives them in other scenes.
-    """
-    if "demonstrator" not in card:
-        return None
-    kwargs = simulated(evaluation_arguments(cfg))
-    env = NavigationEnv(**kwargs)
-    start = env.reset()
-    env.close()
-    del kwargs["num_envs"], kwargs["seed"]
-    return demonstrated_paths(CircleDemonstrator(**card["demonstrator"]), start, **kwargs)
-
-
-def evaluation_arguments(cfg: DictConfig) -> dict[str, Any]:
-    """Of :func:`make_policy_env`: the training's own but for the scenes."""
-    changed = cfg.evaluation
-    return {
-        **cfg.env,
-        "num_envs": changed.episodes,
-        "scene": changed.scene,
-        "seed": changed.seed,
-        "repeat_failed": 0.0,
-    }

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
 import tqdm
 from omegaconf import DictConfig
 from torch import Tensor
+from torchrl._utils import timeit
 from torchrl.record.loggers import Logger, get_logger
 
 from torchrl_morl.preferences import PreferenceSpace
@@ -58,3 +60,29 @@ def progress_line(
 def crossed(interval: int, before: int, after: int) -> bool:
     """Whether a multiple of the interval lies in (before, after]."""
     return after // interval > before // interval
+
+
+def announce(cfg: DictConfig, run_dir: Path) -> None:
+    """Where to watch a training, and what happens before it moves."""
+    print(f"run folder: {run_dir} (a picture at every evaluation: {run_dir / 'pictures'})")
+    if "tensorboard" in cfg.logger.backends:
+        print(f"watch it: tensorboard --logdir {shlex.quote(str(run_dir))}")
+    if cfg.compute.get("compile"):
+        print("the first updates compile their graphs, about a minute, in which the bar stands")
+
+
+def time_shares() -> str:
+    """What the parts of a training took, of those that :class:`torchrl._utils.timeit` has seen."""
+    seconds = timeit.todict(percall=False)
+    total = sum(seconds.values())
+    parts = sorted(seconds.items(), key=lambda part: -part[1])
+    return "time: " + ", ".join(f"{name} {value / total:.0%}" for name, value in parts)
+
+
+def warn_if_failing(success: float) -> None:
+    """Say so where a training has failed at its purpose."""
+    if success < 80:
+        print(
+            f"warning: the last policy reaches its goal in {success:.0f} % of the episodes: train "
+            "longer, or look at the pictures for what goes wrong."
+        )

@@ -19,6 +19,7 @@ from torchrl.data import TensorDictReplayBuffer
 
 from . import logs
 from .corners import CornerResult, evaluate_corners
+from .pictures import trajectories_picture
 from .policies import finish, save_training_policy
 from .replay import TRANSITION
 from .run_folder import write_run_info
@@ -63,6 +64,7 @@ def train(
         )
     write_run_info(task.run_dir)
     loggers = logs.make_loggers(cfg, task.run_dir)
+    logs.announce(cfg, task.run_dir)
     collector = Collector(
         task.env,
         policy,
@@ -118,8 +120,16 @@ def train(
             checkpoints.save(Checkpoint(**state), step=frames, metadata={"score": score})
             folder = task.run_dir / "policies" / f"{frames:09d}"
             save_training_policy(folder, cfg, averaged.module, task, result)
+            trajectories_picture(
+                task.run_dir / "pictures" / f"{frames:09d}.png",
+                task,
+                result,
+                frames=frames,
+                goal_radius=cfg.env.goal_radius,
+            )
             tqdm.tqdm.write(result.table(frames))
     progress.close()
     collector.shutdown()
-    timeit.print()
+    print(logs.time_shares())
+    logs.warn_if_failing(success)
     finish(task.run_dir, cfg)

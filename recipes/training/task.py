@@ -9,17 +9,18 @@ from typing import Any
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase
 
 from envs import NavigationEnv
-from envs.policy_env import make_policy_env, observation_size
+from envs.demonstrations import CircleDemonstrator, demonstrated_paths
+from envs.policy_env import make_policy_env, observation_size, simulated
+from recipes.evaluation.sweep import scene_layout
 from torchrl_morl.deploy import load_reward_model
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
 
-from .corners import demonstrated, evaluation_arguments
 from .gradients import use_bfloat16
 from .run_folder import check_run_dir
 
@@ -38,6 +39,8 @@ class Task:
     demo_card: dict[str, Any] | None
     demonstration: TensorDict | None
     """What the demonstrator does in the scenes of the evaluation."""
+    scenes: TensorDict
+    """Those scenes, see :func:`recipes.evaluation.sweep.scene_layout`."""
     facts: dict[str, Any] = dataclasses.field(default_factory=dict)
     """For the cards of its policies."""
 
@@ -59,6 +62,7 @@ def make_task(cfg: DictConfig) -> Task:
     demo = load_demonstration_objective(cfg)
     reward_model, demo_card = demo if demo else (None, None)
     preference_space = make_preference_space(with_demonstrations=demo is not None)
+    start = evaluation_start(cfg)
     return Task(
         run_dir=run_dir,
         device=device,
@@ -67,7 +71,8 @@ def make_task(cfg: DictConfig) -> Task:
         eval_env=make_eval_env(cfg, preference_space, reward_model),
         reward_model=reward_model,
         demo_card=demo_card,
-        demonstration=demonstrated(cfg, demo_card) if demo else None,
+        demonstration=demonstrated(cfg, demo_card, start) if demo else None,
+        scenes=scene_layout(start),
         # What null in the configuration became; scalarised agents have no such field.
         facts={"bfloat16": use_bfloat16(cfg.compute.get("bfloat16", False), device)},
     )
@@ -123,3 +128,35 @@ def make_eval_env(
 ) -> EnvBase:
     sampler = PreferenceSampler(preference_space)
     return make_policy_env(sampler, reward_model=reward_model, **evaluation_arguments(cfg))
+
+
+def evaluation_start(cfg: DictConfig) -> TensorDictBase:
+    """How the scenes of the evaluation start, snapshots ``[N]``."""
+    env = NavigationEnv(**simulated(evaluation_arguments(cfg)))
+    start = env.reset()
+    env.close()
+    return start
+
+
+def demonstrated(cfg: DictConfig, card: dict[str, Any], start: TensorDictBase) -> TensorDict | None:
+    """What the demonstrator does in the scenes of the evaluation.
+
+    ``None`` for the reward model of recorded demonstrations: nobody drives them in other scenes.
+    """
+    if "demonstrator" not in card:
+        return None
+    kwargs = simulated(evaluation_arguments(cfg))
+    del kwargs["num_envs"], kwargs["seed"]
+    return demonstrated_paths(CircleDemonstrator(**card["demonstrator"]), start, **kwargs)
+
+
+def evaluation_arguments(cfg: DictConfig) -> dict[str, Any]:
+    """Of :func:`make_policy_env`: the training's own but for the scenes."""
+    changed = cfg.evaluation
+    return {
+        **cfg.env,
+        "num_envs": changed.episodes,
+        "scene": changed.scene,
+        "seed": changed.seed,
+        "repeat_failed": 0.0,
+    }
