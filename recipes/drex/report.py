@@ -27,7 +27,7 @@ from torchrl_morl.modules import RewardModel
 
 from . import ranking, styles
 from .demonstrations import demonstrated
-from .rollouts import core_return, frechet, mean_and_error
+from .rollouts import core_return, frechet, mean_and_error, succeeded
 
 # Of the environment's lidar.
 _NUM_RAYS, _MAX_RANGE = 720, 4.0
@@ -79,6 +79,8 @@ def write_report(
     for name, value in contrast.items():
         print(f"  {name:>18}: {value:.3f}")
     print(f"lead of the demonstration over the next style: {lead:.3f} (gate: >= 0.2)")
+    for warning in warnings_of(noisy, rho, lead):
+        print(f"warning: {warning}")
     return {
         "noise_levels": levels,
         "mean_score_per_level": scores,
@@ -87,6 +89,41 @@ def write_report(
         "style_contrast": contrast,
         "style_lead": lead,
     }
+
+
+def warnings_of(noisy: list[tuple[float, TensorDictBase]], rho: float, lead: float) -> list[str]:
+    """Where a stage has failed at its purpose.
+
+    Args:
+        noisy: rollouts of the clone with their quality, the least noisy first.
+        rho: rank correlation of the noise level with the mean R.
+        lead: of the mean R of the demonstration over that of the next style.
+    """
+    found = []
+    (_, least), *_, (_, most) = noisy
+    arrived = 100 * succeeded(least).float().mean().item()
+    if arrived < 50:
+        found.append(
+            f"the cloned policy arrives in {arrived:.0f} % of the scenes: noise makes it no worse, so "
+            "that D-REX has little to rank. Demonstrate more, also in scenes with boxes, or rely on "
+            "style_negatives."
+        )
+    if core_return(most).mean() >= core_return(least).mean():
+        found.append(
+            "the degradation is inverted: the clone earns no less under the most noise than under the "
+            "least, see degradation.png."
+        )
+    if rho > -0.9:
+        found.append(
+            f"R does not fall with the noise (rho {rho:.2f}): raise noise.rollouts or "
+            "reward_model.updates."
+        )
+    if lead < 0.2:
+        found.append(
+            f"R hardly tells the demonstration from the next style (lead {lead:.2f}): a policy will "
+            "not learn it. Demonstrate what differs, or raise style_negatives.rollouts."
+        )
+    return found
 
 
 def accuracy_table(per_gap: dict[str, float]) -> str:

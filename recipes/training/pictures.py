@@ -40,7 +40,7 @@ def trajectories_picture(
     colors = [*(objective.color for objective in objectives), _BALANCED]
     count = min(_SCENES, len(task.scenes))
     fig, axes = plt.subplots(
-        1, count, figsize=(4.2 * count, 3.8), layout="constrained", squeeze=False
+        1, count, figsize=(4.2 * count, 2.9), layout="constrained", squeeze=False
     )
     for index, ax in enumerate(axes[0]):
         scene = task.scenes[index]
