@@ -8,14 +8,18 @@ from .drivers import (
     demonstrated_paths,
 )
 from .feasibility import Tolerances, check
-from .importer import ImportReport, import_demonstrations, replay
-from .recordings import Recording, read_recordings
+from .importer import import_demonstrations, replay
+from .reading import read_recordings
+from .recordings import Recording
+from .report import ImportReport, NoDriveAcceptedError, Reason
 
 __all__ = [
     "CircleDemonstrator",
     "DetourDriver",
     "Driver",
     "ImportReport",
+    "NoDriveAcceptedError",
+    "Reason",
     "Recording",
     "StraightDriver",
     "Tolerances",

@@ -1,24 +1,27 @@
-"""Can the robot drive a recorded trajectory? Resampling, velocities and the reasons why not."""
+"""Can the robot drive a recorded trajectory, and if not, why not?"""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from torchrl_morl.geometry import point_box_distance, wrap_angle
+from torchrl_morl.geometry import point_box_distance
 
 from ..navigation import NavigationEnv
 from ..robots import TURTLEBOT2, Robot, get_robot
 from ..scenes import HUMAN_RADIUS
+from .conventions import heading_convention, unit_of_time
 from .recordings import Recording
+from .report import Reason, enough
+from .timed_path import TimedPath, resample, velocities
 
-# A motion shorter than this within a step has no reliable direction, metres.
-_STILL = 0.01
 # How far a recorded goal may wander within a trajectory, metres.
 _GOAL_DRIFT = 0.01
+# A value this many times over its limit is of another unit rather than of another robot.
+_ABSURD = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Tolerances:
         gap: longest time between two points, s: what lies between them is a guess.
 
     Raises:
-        ValueError: for a negative tolerance or a gap that is not positive.
+        ValueError: for a tolerance that is negative or not finite, or a gap that is not positive.
     """
 
     speed: float = 0.05
@@ -43,134 +46,23 @@ class Tolerances:
     gap: float = 0.5
 
     def __post_init__(self) -> None:
-        if not min(dataclasses.astuple(self)) >= 0 or not self.gap > 0:
-            raise ValueError(f"Tolerances must not be negative, and gap positive: got {self}.")
+        for name, value in dataclasses.asdict(self).items():
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"The {name} tolerance must be finite and not negative: {value}.")
+        if not self.gap > 0:
+            raise ValueError(f"The gap tolerance must be positive, in seconds: {self.gap}.")
 
 
-@dataclasses.dataclass(frozen=True)
-class TimedPath:
-    """A trajectory of ``S`` control steps: ``S + 1`` points, one period apart (float64).
+def check_limits(goal_radius: float, max_steps: int) -> None:
+    """Whether episodes of this kind exist.
 
-    Args:
-        name: of the trajectory.
-        time: seconds, ``[S + 1]``, on the recording's clock.
-        pose: x, y (m), heading in (-pi, pi] (rad), ``[S + 1, 3]``.
-        human: metres, ``[S + 1, 2]``.
-        goal: metres, ``[2]``.
-        boxes: ``[M, 5]``, see :class:`envs.Scene`.
+    Raises:
+        ValueError: for a goal radius or a number of steps that is not positive.
     """
-
-    name: str
-    time: Tensor
-    pose: Tensor
-    human: Tensor
-    goal: Tensor
-    boxes: Tensor
-
-
-def heading_from_motion(position: Tensor) -> Tensor | None:
-    """Headings of a robot that drives forwards and does not slip.
-
-    At each point the mean direction of the motion before and after it; exact on lines and arcs. A
-    robot that stands keeps its heading, so turning in place cannot be seen.
-
-    Args:
-        position: ``[S + 1, 2]``, metres.
-
-    Returns:
-        ``[S + 1]``, radians, or ``None`` if the robot does not move.
-
-    Examples:
-        >>> import torch
-        >>> angle = torch.linspace(0.0, 1.0, 6)
-        >>> circle = torch.stack((angle.sin(), 1 - angle.cos()), dim=-1)
-        >>> torch.allclose(heading_from_motion(circle), angle, atol=1e-5)
-        True
-    """
-    way = position.diff(dim=0)
-    moving = way.norm(dim=-1) >= _STILL
-    if not moving.any():
-        return None
-    # Steps of standing take the direction of the last motion, or of the first one to come.
-    latest = torch.where(moving, torch.arange(len(way)), -1).cummax(0).values
-    way = way[torch.where(latest < 0, moving.int().argmax(), latest)]
-    direction = torch.atan2(way[:, 1], way[:, 0])
-    turn = wrap_angle(direction.diff())
-    ends = torch.zeros(1).to(turn) if not len(turn) else turn
-    before = torch.cat((ends[:1], turn))  # turn between the motions before and after each step
-    after = torch.cat((turn, ends[-1:]))
-    return torch.cat((direction - before / 2, direction[-1:] + after[-1:] / 2))
-
-
-def resample(recording: Recording) -> TimedPath | None:
-    """The trajectory at the control period, 0.2 s.
-
-    Positions are linear between points, headings take the shortest way. The last point is kept, as
-    it may be the one that reaches the goal; less than a period is dropped at the start.
-
-    Args:
-        recording: finite, with at least two points and increasing time.
-
-    Returns:
-        The path, or ``None`` if it has no heading and the robot does not move. It has one point
-        only if the recording is shorter than a period.
-    """
-    period = NavigationEnv.CONTROL_PERIOD
-    # Rounding of the recorded times must not cost the first point.
-    steps = int((recording.time[-1] - recording.time[0]) / period + 1e-6)
-    time = recording.time[-1] - period * np.arange(steps, -1, -1)
-
-    def at_times(values: np.ndarray) -> Tensor:
-        columns = [np.interp(time, recording.time, column) for column in values.T]
-        return torch.from_numpy(np.stack(columns, axis=-1))
-
-    position = at_times(recording.position)
-    if recording.heading is None:
-        heading = heading_from_motion(position) if steps else torch.zeros(1, dtype=torch.float64)
-    else:
-        heading = at_times(np.unwrap(recording.heading)[:, None])[:, 0]
-    if heading is None:
-        return None
-    return TimedPath(
-        recording.name,
-        torch.from_numpy(time),
-        torch.cat((position, wrap_angle(heading)[:, None]), dim=-1),
-        at_times(recording.human),
-        torch.from_numpy(recording.goal[-1].copy()),
-        torch.from_numpy(recording.boxes),
-    )
-
-
-def velocities(pose: Tensor, next_pose: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Constant velocities that lead from one pose to the next in a control period.
-
-    A differential drive at constant speeds follows an arc whose chord points along the heading in
-    the middle of the turn; what the motion has across the chord is slip.
-
-    Args:
-        pose: x, y (m), heading (rad), ``[*B, 3]``.
-        next_pose: ``[*B, 3]``.
-
-    Returns:
-        Forward speed (m/s), turn rate (rad/s) and sideways slip (m/s, positive to the left), each
-        ``[*B]``.
-
-    Examples:
-        >>> import math, torch
-        >>> quarter = torch.tensor([1.0, 1.0, math.pi / 2])  # on a circle of 1 m
-        >>> speed, turn, slip = velocities(torch.zeros(3), quarter)
-        >>> round((speed / turn).item(), 5), abs(slip.item()) < 1e-6
-        (1.0, True)
-    """
-    period = NavigationEnv.CONTROL_PERIOD
-    way = (next_pose - pose)[..., :2]
-    turn = wrap_angle(next_pose[..., 2] - pose[..., 2])
-    middle = pose[..., 2] + turn / 2
-    chord = way[..., 0] * middle.cos() + way[..., 1] * middle.sin()
-    across = way[..., 1] * middle.cos() - way[..., 0] * middle.sin()
-    # sinc(u) = sin(pi u) / (pi u): the chord is shorter than its arc by sin(turn/2) / (turn/2).
-    arc = chord / torch.sinc(turn / (2 * torch.pi))
-    return arc / period, turn / period, across / period
+    if not (math.isfinite(goal_radius) and goal_radius > 0):
+        raise ValueError(f"goal_radius must be positive and finite, in metres: {goal_radius}.")
+    if max_steps != int(max_steps) or max_steps < 1:
+        raise ValueError(f"max_steps must be a whole number of control steps from 1: {max_steps}.")
 
 
 def check(
@@ -180,12 +72,12 @@ def check(
     goal_radius: float = 0.3,
     max_steps: int = 300,
     tolerances: Tolerances | None = None,
-) -> tuple[TimedPath | None, list[str]]:
+) -> tuple[TimedPath | None, list[Reason]]:
     """Turn a recording into a path that ends at the goal, or say why the robot cannot drive it.
 
     Args:
         recording: as read from its file.
-        robot: a name from :data:`envs.ROBOTS` or a :class:`envs.Robot`.
+        robot: what :func:`envs.get_robot` takes.
 
     Keyword Args:
         goal_radius: distance from the goal at which it is reached, metres.
@@ -194,94 +86,187 @@ def check(
 
     Returns:
         The path up to the first point at the goal and an empty list; or ``None`` and the reasons.
+
+    Raises:
+        ValueError: for an unknown robot, or a goal radius or a number of steps that is not positive.
     """
     robot, tolerances = get_robot(robot), tolerances or Tolerances()
+    check_limits(goal_radius, max_steps)
     reasons = _unusable(recording, tolerances)
     if reasons:
         return None, reasons
     path = resample(recording)
+    period = NavigationEnv.CONTROL_PERIOD
     if path is None:
-        return None, ["has no heading and never moves, so that none can be derived"]
+        text = "has no heading and never moves, so that none can be derived"
+        return None, [Reason(text, "without heading that never move")]
     if len(path.time) < 2:
-        return None, [f"is shorter than a control step of {NavigationEnv.CONTROL_PERIOD} s"]
+        what = f"shorter than a control step of {period} s"
+        return None, [Reason(f"is {what}", what)]
     distance = (path.pose[:, :2] - path.goal).norm(dim=-1)
     reached = distance <= goal_radius
     if reached[0]:
-        return None, [f"starts within {goal_radius} m of the goal"]
+        what = f"within {goal_radius:g} m of the goal"
+        return None, [Reason(f"starts {what}", f"that start {what}", "--goal-radius")]
     if reached.any():
         # An episode ends at the goal: what comes after is none of it.
-        points = slice(int(reached.int().argmax()) + 1)
-        path = dataclasses.replace(
-            path, time=path.time[points], pose=path.pose[points], human=path.human[points]
-        )
+        path = path.first(int(reached.int().argmax()) + 1)
     else:
+        nearest = distance.min().item()
+        near = nearest < 1.0
         reasons.append(
-            f"never comes within {goal_radius} m of the goal, {distance.min().item():.2f} m at best"
+            Reason(
+                f"never comes within {goal_radius:g} m of the goal, {nearest:.2f} m at best",
+                f"that never come within {goal_radius:g} m of the goal",
+                f"--goal-radius {enough(nearest)}" if near else "is it the goal of this drive?",
+                nearest,
+                "m away at best",
+            )
         )
     steps = len(path.time) - 1
     if steps > max_steps:
-        reasons.append(f"takes {steps} control steps, an episode has {max_steps}")
-    reasons += _motion_faults(path, robot, tolerances) + _contacts(path, robot)
+        reasons.append(
+            Reason(
+                f"takes {steps} control steps, an episode has {max_steps}",
+                f"longer than {max_steps} control steps of {period} s",
+                f"--max-steps {steps}",
+                steps,
+                "steps",
+            )
+        )
+    faults = _motion_faults(path, robot, tolerances)
+    wrong = {kind for kind in faults if kind != "speed"}
+    if wrong and recording.heading is not None:
+
+        def fits(heading: np.ndarray) -> bool:
+            other = resample(dataclasses.replace(recording, heading=heading))
+            others = _motion_faults(other.first(len(path.time)), robot, tolerances)
+            return others.keys() <= {"speed"}
+
+        convention = heading_convention(recording, fits)
+        if convention:
+            # What the heading's convention brings about are no faults of their own.
+            faults = {kind: faults[kind] for kind in faults if kind not in wrong}
+            reasons.append(convention)
+    reasons += [*faults.values(), *_contacts(path, robot)]
     return (None, reasons) if reasons else (path, [])
 
 
-def _unusable(recording: Recording, tolerances: Tolerances) -> list[str]:
+def _unusable(recording: Recording, tolerances: Tolerances) -> list[Reason]:
     """What rules out resampling."""
-    if len(recording.time) < 2:
-        return [f"has {len(recording.time)} point(s), fewer than 2"]
-    bad = {name: ~np.isfinite(values) for name, values in recording.columns().items()}
-    reasons = [
-        f"column {name} is not finite at {recording.places[rows.argmax()]}"
-        + (f" and {rows.sum() - 1} more" if rows.sum() > 1 else "")
-        for name, rows in bad.items()
-        if rows.any()
-    ]
+    if recording.faults:
+        return [Reason(fault, "with lines that cannot be read") for fault in recording.faults]
+    count = len(recording.time)
+    if count < 2:
+        return [Reason(f"has {count} point(s), fewer than 2", "of fewer than 2 points")]
+    reasons = []
+    for name, values in recording.columns().items():
+        bad = ~np.isfinite(values)
+        if bad.any():
+            more = f" and {bad.sum() - 1} more" if bad.sum() > 1 else ""
+            text = f"column {name} is not finite at {recording.place(bad.argmax())}{more}"
+            reasons.append(Reason(text, "with numbers that are not finite"))
     if reasons:
         return reasons
-    steps = np.diff(recording.time)
-    if (steps <= 0).any():
-        place = recording.places[(steps <= 0).argmax() + 1]
-        reasons.append(f"time does not increase at {place}")
-    if steps.max() > tolerances.gap + 1e-9:
-        place = recording.places[steps.argmax() + 1]
-        reasons.append(f"time jumps by {steps.max():.2f} s at {place}, over {tolerances.gap} s")
+    reasons = _time_faults(recording, tolerances)
     drift = np.linalg.norm(recording.goal - recording.goal[-1], axis=-1).max()
     if drift > _GOAL_DRIFT:
-        reasons.append(f"the goal moves by {drift:.2f} m: a trajectory has one goal")
+        moves = np.linalg.norm(np.diff(recording.goal, axis=0), axis=-1)
+        place = recording.place(int(moves.argmax()) + 1)
+        text = f"the goal moves by {drift:.2f} m, most at {place}: a trajectory has one goal"
+        hint = "one name for each goal"
+        reasons.append(Reason(text, "whose goal moves", hint, float(drift), "m"))
     return reasons
 
 
-def _motion_faults(path: TimedPath, robot: Robot, tolerances: Tolerances) -> list[str]:
+def _time_faults(recording: Recording, tolerances: Tolerances) -> list[Reason]:
+    time, steps = recording.time, np.diff(recording.time)
+    if (steps <= 0).any():
+        index = int((steps <= 0).argmax()) + 1
+        place = recording.place(index)
+        if steps[index - 1] < 0:
+            text = f"time goes back from {time[index - 1]:g} to {time[index]:g} s at {place}"
+            hint = "two drives under one name, points out of order, or padding with zeros?"
+            return [Reason(text, "whose time goes back", hint)]
+        text = f"time stands still at {place}, {time[index]:.12g} s"
+        hint = "one point for each time"
+        # float32 has steps of 0.06 s from 10^6 s on, of 128 s at an epoch's seconds.
+        if np.abs(time).max() >= 1e6 or (time == time.round()).all():
+            hint = "whole seconds, or an epoch's in float32? Subtract the first time, keep decimals"
+        return [Reason(text, "whose time stands still", hint)]
+    if steps.max() <= tolerances.gap + 1e-9:
+        return []
+    place = recording.place(int(steps.argmax()) + 1)
+    text = f"time jumps by {steps.max():.2f} s at {place}, over {tolerances.gap:g} s"
+    unit = unit_of_time(recording) if np.median(steps) > tolerances.gap else None
+    if unit:
+        what = f"{unit}? seconds are expected"
+        return [
+            Reason(
+                f"{text}: {what}",
+                f"with points too far apart in time: {what}",
+                "",
+                float(steps.max()),
+                "s",
+            )
+        ]
+    return [
+        Reason(
+            text,
+            f"with more than {tolerances.gap:g} s between points",
+            f"--gap-tolerance {enough(steps.max())}",
+            float(steps.max()),
+            "s",
+        )
+    ]
+
+
+def _motion_faults(path: TimedPath, robot: Robot, tolerances: Tolerances) -> dict[str, Reason]:
+    """Reasons by the tolerance that they exceed."""
     speed, turn, slip = velocities(path.pose[:-1], path.pose[1:])
-    limits = (
-        ("drives at", speed, robot.max_speed, tolerances.speed, "m/s"),
-        ("drives backwards at", -speed, 0.0, tolerances.backwards, "m/s"),
-        ("turns at", turn.abs(), robot.max_turn_rate, tolerances.turn_rate, "rad/s"),
-        ("slips sideways at", slip.abs(), 0.0, tolerances.slip, "m/s"),
-    )
-    reasons = []
-    for what, value, limit, tolerance, unit in limits:
+    top, rate = robot.max_speed, robot.max_turn_rate
+    faster = f"faster than {robot.name}'s {top:g} m/s"
+    turning = f"that turn faster than {robot.name}'s {rate:.3g} rad/s"
+    limits: tuple[tuple[str, str, Tensor, float, str, str, str], ...] = (
+        ("speed", "drives at", speed, top, "m/s", faster, "--robot, or"),
+        ("backwards", "drives backwards at", -speed, 0.0, "m/s", "that drive backwards", "does heading point to the front? Or"),
+        ("turn_rate", "turns at", turn.abs(), rate, "rad/s", turning, "smooth a noisy heading; --robot, or"),
+        ("slip", "slips sideways at", slip.abs(), 0.0, "m/s", "that slip sideways", "smooth a noisy track; is x, y the centre of rotation? Or"),
+    )  # fmt: skip
+    faults = {}
+    for name, what, value, limit, unit, kind, hint in limits:
+        tolerance = getattr(tolerances, name)
         # 1e-6: rounding in a file's decimals is not a fault.
         count = int((value > limit + tolerance + 1e-6).sum())
-        if count:
-            worst = int(value.argmax())
-            reasons.append(
-                f"{what} {value[worst].item():.2f} {unit} at {path.time[worst].item():.2f} s, over "
-                f"{limit:.2f} + {tolerance:.2f} {unit} in {count} step(s)"
-            )
-    return reasons
+        if not count:
+            continue
+        worst = int(value.argmax())
+        most = value[worst].item()
+        hint = f"{hint} --{name.replace('_', '-')}-tolerance {enough(most - limit)}"
+        if name == "speed" and most > _ABSURD * limit:
+            hint = "are positions in metres and times in seconds?"
+        text = (
+            f"{what} {most:.2f} {unit} at {path.time[worst].item():.2f} s, over "
+            f"{limit:.2f} + {tolerance:.2f} {unit} in {count} step(s)"
+        )
+        faults[name] = Reason(text, kind, hint, most, unit)
+    return faults
 
 
-def _contacts(path: TimedPath, robot: Robot) -> list[str]:
+def _contacts(path: TimedPath, robot: Robot) -> list[Reason]:
     """Contacts by the rule of :class:`NavigationEnv`, at the points of the path."""
     position = path.pose[:, :2]
     gap = (position - path.human).norm(dim=-1) - robot.radius - HUMAN_RADIUS
-    gaps = [("the human", gap)]
+    gaps = [("the human", gap, "--robot with a smaller radius")]
     if len(path.boxes):
-        distance = point_box_distance(position[:, None], path.boxes)
-        gaps.append(("a box", distance.amin(-1) - robot.radius))
+        distance = point_box_distance(position[:, None], path.boxes).amin(-1) - robot.radius
+        gaps.append(("a box", distance, "--robot; are the sizes of the boxes half sizes?"))
     return [
-        f"touches {what} at {path.time[int((gap <= 0).int().argmax())].item():.2f} s"
-        for what, gap in gaps
+        Reason(
+            f"touches {what} at {path.time[int((gap <= 0).int().argmax())].item():.2f} s",
+            f"that touch {what}",
+            hint,
+        )
+        for what, gap, hint in gaps
         if (gap <= 0).any()
     ]

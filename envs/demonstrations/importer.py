@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -13,8 +13,10 @@ from torch import Tensor
 from ..policy_env import make_policy_env
 from ..robots import TURTLEBOT2, Robot, get_robot
 from ..scenes import Scene
-from .feasibility import TimedPath, Tolerances, check, velocities
-from .recordings import read_recordings
+from .feasibility import Tolerances, check, check_limits
+from .reading import open_recordings
+from .report import ImportReport, NoDriveAcceptedError, Reason
+from .timed_path import TimedPath, velocities
 
 # Out of sight of any lidar: where the boxes stand that a scene has less than others, metres.
 _FAR = 1000.0
@@ -22,24 +24,8 @@ _OBSERVED = ("observation", "goal", "human", "pose", "human_pose")
 _OBSERVED_NEXT = ("observation", "pose", "human_pose", "reward")
 
 
-@dataclasses.dataclass(frozen=True)
-class ImportReport:
-    """What became of the trajectories of a file.
-
-    Args:
-        accepted: names, in the order of the dataset's rows.
-        rejected: names and all reasons of each.
-    """
-
-    accepted: list[str]
-    rejected: dict[str, list[str]]
-
-    def __str__(self) -> str:
-        """A line on all of them and one on each rejected trajectory."""
-        total = len(self.accepted) + len(self.rejected)
-        lines = [f"{len(self.accepted)} of {total} trajectories accepted"]
-        lines += [f"  {name}: {'; '.join(reasons)}" for name, reasons in self.rejected.items()]
-        return "\n".join(lines)
+def _silent(iterable: Iterable[Any], **_: Any) -> Iterable[Any]:
+    return iterable
 
 
 def import_demonstrations(
@@ -51,6 +37,7 @@ def import_demonstrations(
     max_steps: int = 300,
     tolerances: Tolerances | None = None,
     num_threads: int = 0,
+    progress: Callable[..., Iterable[Any]] = _silent,
 ) -> tuple[TensorDictBase, ImportReport]:
     r"""Read recorded trajectories and make the dataset that rollouts of a demonstrator give.
 
@@ -59,19 +46,21 @@ def import_demonstrations(
         boxes: a ``.csv`` file with the boxes around a ``.csv`` file's trajectories.
 
     Keyword Args:
-        robot: whose limits and lidar count: a name from :data:`envs.ROBOTS` or a
-            :class:`envs.Robot`.
+        robot: whose limits and lidar count: what :func:`envs.get_robot` takes.
         goal_radius: distance from the goal at which it is reached, metres.
         max_steps: longest episode, control steps.
         tolerances: how far recordings may exceed the robot's limits.
         num_threads: native threads of the simulation; 0 uses every CPU.
+        progress: shows how far it is: ``tqdm.tqdm``, or anything that takes an iterable with a
+            length and ``desc``.
 
     Returns:
         The dataset of :func:`replay` with a row for each accepted trajectory, and the report.
 
     Raises:
         FileNotFoundError: if a file does not exist.
-        ValueError: if a file is not of the format, or no trajectory is accepted.
+        NoDriveAcceptedError: a :class:`ValueError`, if all trajectories are rejected.
+        ValueError: if a file is not of the format, or an argument makes no sense.
 
     Examples:
         >>> import tempfile
@@ -84,14 +73,20 @@ def import_demonstrations(
         ...     _ = file.write_text("\n".join(rows))
         ...     data, report = import_demonstrations(file)
         >>> print(report)
-        1 of 2 trajectories accepted
-          short: has 1 point(s), fewer than 2
+        1 of 2 drives accepted
+          1 of 2 drives of fewer than 2 points (short: has 1 point(s), fewer than 2)
         >>> data.shape, data["observation"].shape
         (torch.Size([1, 47]), torch.Size([1, 47, 36]))
     """
+    robot = get_robot(robot)
+    check_limits(goal_radius, max_steps)
+    file = open_recordings(path, boxes)
     paths: list[TimedPath] = []
-    rejected: dict[str, list[str]] = {}
-    for recording in read_recordings(path, boxes):
+    rejected: dict[str, list[Reason]] = {}
+    repeated: list[int] = []
+    for recording in progress(file, desc="reading"):
+        if recording.repeated:
+            repeated.append(recording.repeated)
         driven, reasons = check(
             recording,
             robot,
@@ -103,10 +98,15 @@ def import_demonstrations(
             rejected[recording.name] = reasons
         else:
             paths.append(driven)
-    report = ImportReport([driven.name for driven in paths], rejected)
+    notes = list(file.notes)
+    if repeated:
+        notes.append(f"left out {sum(repeated)} repeated point(s) of {len(repeated)} drive(s)")
+    report = ImportReport([driven.name for driven in paths], rejected, notes)
     if not paths:
-        raise ValueError(f"{path}: {report}")
-    return replay(paths, robot, goal_radius=goal_radius, num_threads=num_threads), report
+        raise NoDriveAcceptedError(path, report)
+    del file
+    data = replay(paths, robot, goal_radius=goal_radius, num_threads=num_threads, progress=progress)
+    return data, report
 
 
 @torch.no_grad()
@@ -117,6 +117,7 @@ def replay(
     goal_radius: float = 0.3,
     chunk: int = 256,
     num_threads: int = 0,
+    progress: Callable[..., Iterable[Any]] = _silent,
 ) -> TensorDictBase:
     """Put the robot on every point of the paths and record what it sees, and how it got on.
 
@@ -125,13 +126,15 @@ def replay(
     base executed; where a command changes, a base that lags was told more than that.
 
     Args:
-        paths: of :func:`envs.demonstrations.feasibility.check`: free of contacts, the last point at the goal.
-        robot: a name from :data:`envs.ROBOTS` or a :class:`envs.Robot`.
+        paths: of :func:`envs.demonstrations.feasibility.check`: free of contacts, the last point
+            at the goal.
+        robot: what :func:`envs.get_robot` takes.
 
     Keyword Args:
         goal_radius: distance from the goal at which it is reached, metres.
         chunk: how many points are simulated at once.
         num_threads: native threads; 0 uses every CPU.
+        progress: see :func:`import_demonstrations`.
 
     Returns:
         ``[N, T]``, ``T`` the most steps of a path, zeros behind the end of each: ``observation``
@@ -142,52 +145,72 @@ def replay(
     """
     robot = get_robot(robot)
     length = torch.tensor([len(path.pose) for path in paths])
-    last = torch.zeros(int(length.sum()), dtype=torch.bool)
-    last[length.cumsum(0) - 1] = True
-    first = last.roll(1)
-    pose = torch.cat([path.pose for path in paths])
-    points = _observe(paths, pose, robot, goal_radius, chunk, num_threads)
-
-    steps = points[~last].select(*_OBSERVED)
-    speed, turn, _ = velocities(pose[~last], pose[~first])
-    action = torch.stack((2 * speed / robot.max_speed - 1, turn / robot.max_turn_rate), dim=-1)
-    steps["action"] = action.clamp(-1.0, 1.0).to(steps["observation"])
-    steps["next"] = points[~first].select(*_OBSERVED_NEXT)
-    reached = last[~first][:, None]
-    for key in ("done", "terminated", "success"):
-        steps["next", key] = reached.clone()
-    steps["next", "truncated"] = torch.zeros_like(reached)
-
+    owner = torch.arange(len(paths)).repeat_interleave(length)
+    step = torch.arange(len(owner)) - (length.cumsum(0) - length)[owner]
+    last = step == length[owner] - 1
+    chunk = min(chunk, len(owner))
     mask = torch.arange(int(length.max()) - 1) < length[:, None] - 1
-    data = torch.zeros_like(steps[:1]).expand(*mask.shape).clone()
-    data[mask] = steps
-    return data.set("mask", mask)
+    data = None
+    chunks = torch.arange(len(owner)).split(chunk)
+    points = _observe(paths, owner, chunks, robot, goal_radius, num_threads)
+    for rows, seen in zip(progress(chunks, desc="replay"), points):
+        # A point is where one step begins and where the one before has led.
+        begins, led = ~last[rows], step[rows] > 0
+        if data is None:
+            data = _empty(seen, mask)
+        data.select(*_OBSERVED)[owner[rows][begins], step[rows][begins]] = seen.select(*_OBSERVED)[
+            begins
+        ]
+        data["next"].select(*_OBSERVED_NEXT)[owner[rows][led], step[rows][led] - 1] = seen.select(
+            *_OBSERVED_NEXT
+        )[led]
+    pose = torch.cat([path.pose for path in paths])
+    begins = (~last).nonzero()[:, 0]
+    speed, turn, _ = velocities(pose[begins], pose[begins + 1])
+    action = torch.stack((2 * speed / robot.max_speed - 1, turn / robot.max_turn_rate), dim=-1)
+    data["action"][mask] = action.clamp(-1.0, 1.0).to(data["action"])
+    ends = torch.arange(len(paths)), length - 2
+    for key in ("done", "terminated", "success"):
+        data["next", key][ends] = True
+    return data
+
+
+def _empty(seen: TensorDictBase, mask: Tensor) -> TensorDictBase:
+    """A dataset of zeros ``[N, T]`` with the keys of what is seen and done."""
+
+    def zeros(*shape: int, like: Tensor | None = None) -> Tensor:
+        dtype = torch.bool if like is None else like.dtype
+        return torch.zeros(*mask.shape, *shape, dtype=dtype)
+
+    size = mask.shape
+    root = {key: zeros(*seen[key].shape[1:], like=seen[key]) for key in _OBSERVED}
+    after = {key: zeros(*seen[key].shape[1:], like=seen[key]) for key in _OBSERVED_NEXT}
+    after |= {key: zeros(1) for key in ("done", "terminated", "success", "truncated")}
+    root["action"] = zeros(2, like=seen["observation"])
+    return TensorDict({**root, "next": TensorDict(after, size), "mask": mask}, size)
 
 
 def _observe(
     paths: Sequence[TimedPath],
-    pose: Tensor,
+    owner: Tensor,
+    chunks: Sequence[Tensor],
     robot: Robot,
     goal_radius: float,
-    chunk: int,
     num_threads: int,
-) -> TensorDictBase:
-    """Observations at all points ``[P]``, and the reward of the step that leads to each."""
+) -> Iterator[TensorDictBase]:
+    """Observations at the points of each chunk, and the reward of the step that leads to each."""
+    pose = torch.cat([path.pose for path in paths])
+    human = torch.cat([path.human for path in paths])
+    human_pose = torch.cat((human, torch.zeros_like(human[:, :1])), dim=-1)
+    goal = torch.stack([path.goal for path in paths])
     num_boxes = max(len(path.boxes) for path in paths)
     boxes = torch.tensor([_FAR, _FAR, 0.0, 0.1, 0.1], dtype=torch.float64)
     boxes = boxes.repeat(len(paths), num_boxes, 1)
     for row, path in zip(boxes, paths):
         row[: len(path.boxes)] = path.boxes
-    goal = torch.stack([path.goal for path in paths])
-    human = torch.cat([path.human for path in paths])
-    human_pose = torch.cat((human, torch.zeros_like(human[:, :1])), dim=-1)
-    owner = torch.arange(len(paths)).repeat_interleave(
-        torch.tensor([len(path.pose) for path in paths])
-    )
-    chunk = min(chunk, len(pose))
     env = make_policy_env(
         keep_simulation=True,
-        num_envs=chunk,
+        num_envs=len(chunks[0]),
         scene=Scene("imported", num_boxes, _sample_nothing),
         robot=robot,
         goal_radius=goal_radius,
@@ -195,10 +218,9 @@ def _observe(
         seed=0,
     )
     state = env.base_env.state_spec.zero()
-    out = []
-    for rows in torch.arange(len(pose)).split(chunk):
+    for rows in chunks:
         # The last chunk is filled up with its last point.
-        filled = torch.cat((rows, rows[-1:].expand(chunk - len(rows))))
+        filled = torch.cat((rows, rows[-1:].expand(len(chunks[0]) - len(rows))))
         state["qpos"] = pose[filled]
         state["human_pose"] = human_pose[filled]
         state["scene", "goal"] = state["scene", "human_goal"] = goal[owner[filled]]
@@ -206,9 +228,8 @@ def _observe(
         seen = env.reset(state.clone(), set_state=True).select(*_OBSERVED)
         came_from = pose[(filled - 1).clamp_min(0), :2]
         seen["reward"] = env.base_env.reward_from(came_from).to(seen["observation"])
-        out.append(seen[: len(rows)].clone())
+        yield seen[: len(rows)]
     env.close()
-    return torch.cat(out)
 
 
 def _sample_nothing(n: int, robot_radius: float, generator: torch.Generator) -> TensorDict:

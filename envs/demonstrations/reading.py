@@ -1,0 +1,77 @@
+"""Read recorded trajectories from CSV or NumPy files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .csv_file import CsvFile
+from .npz_file import NpzFile
+from .recordings import Recording
+
+
+def open_recordings(path: str | Path, boxes: str | Path | None = None) -> CsvFile | NpzFile:
+    """Open a ``.csv`` or ``.npz`` file of trajectories; capital suffixes count as well.
+
+    Args:
+        path: the file.
+        boxes: a second ``.csv`` file with the boxes of a ``.csv`` file's trajectories.
+
+    Returns:
+        Iterates over its trajectories and has a length; ``notes`` says what was passed over.
+
+    Raises:
+        FileNotFoundError: if a file does not exist.
+        ValueError: if a file is not of its format; the message names the file, and the line and
+            column or the array.
+    """
+    path = Path(path)
+    for file in (path, boxes):
+        if file is not None and not Path(file).is_file():
+            what = "is a folder, not a file" if Path(file).is_dir() else "not found"
+            raise FileNotFoundError(f"{file} {what}.")
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        return CsvFile(path, None if boxes is None else Path(boxes))
+    if suffix == ".npz":
+        if boxes is not None:
+            raise ValueError(f"{path}: the boxes of an .npz file are its array 'boxes'.")
+        return NpzFile(path)
+    raise ValueError(f"{path}: trajectories are a .csv or an .npz file, got {path.suffix!r}.")
+
+
+def read_recordings(path: str | Path, boxes: str | Path | None = None) -> list[Recording]:
+    """Read the trajectories of a ``.csv`` or ``.npz`` file.
+
+    What is wrong with a trajectory, such as a cell that is empty, stands in its ``faults``; numbers
+    that make no sense, such as NaN, are left to :func:`envs.demonstrations.feasibility.check`.
+
+    Args:
+        path: the file.
+        boxes: a second ``.csv`` file with the boxes of a ``.csv`` file's trajectories.
+
+    Returns:
+        The trajectories, in the order in which their last lines come.
+
+    Raises:
+        FileNotFoundError: if a file does not exist.
+        ValueError: if a file is not of its format; the message names the file, and the line and
+            column or the array.
+
+    Examples:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> text = '''trajectory,time,x,y,human_x,human_y,goal_x,goal_y
+        ... first,0.0,0.0,0.0,3.0,2.0,6.0,0.0
+        ... first,0.2,0.1,0.0,3.0,2.0,6.0,0.0
+        ... second,0.0,0.0,N/A,3.0,2.0,6.0,0.0
+        ... '''
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "drives.csv"
+        ...     _ = file.write_text(text)
+        ...     first, second = read_recordings(file)
+        >>> first.name, first.position.tolist(), first.heading
+        ('first', [[0.0, 0.0], [0.1, 0.0]], None)
+        >>> second.faults
+        ("line 4, column y: 'N/A' is not a number",)
+    """
+    return list(open_recordings(path, boxes))
