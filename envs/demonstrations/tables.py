@@ -86,7 +86,7 @@ class Table:
                 continue
             yield from (orphan._replace(trajectory=name) for orphan in orphans)
             orphans = []
-            yield line._replace(trajectory=name)
+            yield line if line.trajectory else line._replace(trajectory=name)
         if not self._header:
             raise ValueError(self._wrong_header(1, []))
         if orphans:
@@ -149,7 +149,7 @@ class Table:
         if cells[: len(header)] == header:
             self.headers += 1
             return None
-        if {"trajectory", *self.required} <= set(cells):
+        if "trajectory" in cells and set(self.required) <= set(cells):
             raise ValueError(f"{self.path}, {place}: a second header, with other columns.")
         while len(cells) > len(header) and not cells[-1]:
             cells.pop()
