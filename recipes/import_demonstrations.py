@@ -8,12 +8,13 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
-import os
+import tempfile
 from pathlib import Path
 from typing import NoReturn
 
 import torch
 import tqdm
+from safetensors import SafetensorError
 
 from envs import get_robot
 from envs.demonstrations import NoDriveAcceptedError, Tolerances, import_demonstrations
@@ -36,8 +37,13 @@ def check_output(path: Path) -> None:
     if path.exists():
         raise ValueError(f"{path} exists and is not overwritten: choose another name.")
     folder = next(parent for parent in path.absolute().parents if parent.exists())
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise ValueError(f"--output {path}: {folder} is not a folder that can be written.")
+    try:
+        # Permissions alone do not tell: root has them all, also where nothing can be written.
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise ValueError(
+            f"--output {path}: {folder} is not a folder that can be written: {error.strerror}."
+        ) from error
 
 
 def main() -> None:
@@ -89,7 +95,7 @@ def main() -> None:
     except NoDriveAcceptedError as error:
         details = [f"  {line}" for line in error.report.details()] if args.verbose else []
         parser.error("\n".join([str(error), *details]))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, SafetensorError) as error:
         parser.error(str(error))
     except KeyboardInterrupt:
         parser.exit(130, f"{parser.prog}: interrupted, nothing is written\n")
