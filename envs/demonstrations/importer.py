@@ -154,16 +154,13 @@ def replay(
     chunks = torch.arange(len(owner)).split(chunk)
     points = _observe(paths, owner, chunks, robot, goal_radius, num_threads)
     for rows, seen in zip(progress(chunks, desc="replay"), points):
-        # A point is where one step begins and where the one before has led.
-        begins, led = ~last[rows], step[rows] > 0
         if data is None:
             data = _empty(seen, mask)
-        data.select(*_OBSERVED)[owner[rows][begins], step[rows][begins]] = seen.select(*_OBSERVED)[
-            begins
-        ]
-        data["next"].select(*_OBSERVED_NEXT)[owner[rows][led], step[rows][led] - 1] = seen.select(
-            *_OBSERVED_NEXT
-        )[led]
+        # A point is where one step begins, and where the one before has led.
+        drive, index, now, after = owner[rows], step[rows], ~last[rows], step[rows] > 0
+        root, led_to = data.select(*_OBSERVED), data["next"].select(*_OBSERVED_NEXT)
+        root[drive[now], index[now]] = seen.select(*_OBSERVED)[now]
+        led_to[drive[after], index[after] - 1] = seen.select(*_OBSERVED_NEXT)[after]
     pose = torch.cat([path.pose for path in paths])
     begins = (~last).nonzero()[:, 0]
     speed, turn, _ = velocities(pose[begins], pose[begins + 1])
@@ -217,19 +214,21 @@ def _observe(
         num_threads=num_threads,
         seed=0,
     )
-    state = env.base_env.state_spec.zero()
-    for rows in chunks:
-        # The last chunk is filled up with its last point.
-        filled = torch.cat((rows, rows[-1:].expand(len(chunks[0]) - len(rows))))
-        state["qpos"] = pose[filled]
-        state["human_pose"] = human_pose[filled]
-        state["scene", "goal"] = state["scene", "human_goal"] = goal[owner[filled]]
-        state["scene", "boxes"] = boxes[owner[filled]]
-        seen = env.reset(state.clone(), set_state=True).select(*_OBSERVED)
-        came_from = pose[(filled - 1).clamp_min(0), :2]
-        seen["reward"] = env.base_env.reward_from(came_from).to(seen["observation"])
-        yield seen[: len(rows)]
-    env.close()
+    try:
+        state = env.base_env.state_spec.zero()
+        for rows in chunks:
+            # The last chunk is filled up with its last point.
+            filled = torch.cat((rows, rows[-1:].expand(len(chunks[0]) - len(rows))))
+            state["qpos"] = pose[filled]
+            state["human_pose"] = human_pose[filled]
+            state["scene", "goal"] = state["scene", "human_goal"] = goal[owner[filled]]
+            state["scene", "boxes"] = boxes[owner[filled]]
+            seen = env.reset(state.clone(), set_state=True).select(*_OBSERVED)
+            came_from = pose[(filled - 1).clamp_min(0), :2]
+            seen["reward"] = env.base_env.reward_from(came_from).to(seen["observation"])
+            yield seen[: len(rows)]
+    finally:
+        env.close()
 
 
 def _sample_nothing(n: int, robot_radius: float, generator: torch.Generator) -> TensorDict:
