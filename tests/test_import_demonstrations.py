@@ -14,7 +14,7 @@ from envs.demonstrations import CircleDemonstrator
 from envs.demonstrations.feasibility import check
 from envs.demonstrations.importer import import_demonstrations, replay
 from envs.policy_env import make_policy_env
-from recipes.drex.utils import rollouts
+from recipes.drex.rollouts import rollouts
 from tests._recordings import HEADER, line, save_csv, save_npz, tracks
 from torchrl_morl.evaluation import episode_mask
 from torchrl_morl.geometry import wrap_angle
