@@ -13,20 +13,14 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import MujocoEnv
 
-from envs import get_robot, get_scene
+from envs import RewardConstants, get_robot, get_scene
 from envs.mjcf import LIDAR_HEIGHT, navigation_mjcf
-from envs.navigation_task import (
-    COLLISION_REWARD,
-    DISTANCE_MINIMUM,
-    DISTANCE_THRESHOLD,
-    GOAL_REWARD,
-    STYLE_PENALTY,
-)
 from envs.scene_stream import SCENE_BLOCK
 from envs.scenes import HUMAN_RADIUS
 
 SCENE = "static"
 ROBOT = "turtlebot2"
+REWARDS = RewardConstants()
 GOAL_RADIUS = 0.3
 NUM_RAYS = 720
 MAX_RANGE = 4.0
@@ -141,11 +135,13 @@ class MujocoNavigationEnv(MujocoEnv):
             _box_distance(position, box) <= self._robot.radius for box in self._boxes
         )
         self._ended = collided or goal <= GOAL_RADIUS
-        core = GOAL_REWARD * (self._goal_distance - goal) + COLLISION_REWARD * collided
+        core = REWARDS.goal_reward * (self._goal_distance - goal)
+        core += REWARDS.collision_reward * collided
         self._goal_distance = goal
-        closeness = max(DISTANCE_THRESHOLD - human, 0.0)
-        distance = STYLE_PENALTY * (closeness / (DISTANCE_THRESHOLD - DISTANCE_MINIMUM)) ** 2
-        return torch.tensor([[core, distance, STYLE_PENALTY]], dtype=self.dtype)
+        closeness = max(REWARDS.distance_threshold - human, 0.0)
+        closeness /= REWARDS.distance_threshold - REWARDS.distance_minimum
+        distance = REWARDS.style_penalty * closeness**2
+        return torch.tensor([[core, distance, REWARDS.style_penalty]], dtype=self.dtype)
 
     def _compute_done(self, state: TensorDictBase, next_state: TensorDictBase) -> Tensor:
         return torch.tensor([[self._ended]])

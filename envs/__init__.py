@@ -3,6 +3,7 @@
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
 from .faults import Faults
 from .navigation import NavigationEnv
+from .objectives import OBJECTIVES, RewardConstants
 from .rendering import Camera
 from .robots import HSR, ROBOTS, TURTLEBOT2, Robot, get_robot
 from .scenes import (
@@ -27,6 +28,7 @@ __all__ = [
     "HUMAN_RADIUS",
     "MIXED",
     "MOVING_HUMAN",
+    "OBJECTIVES",
     "ROBOTS",
     "SCENES",
     "SHOWCASE",
@@ -37,6 +39,7 @@ __all__ = [
     "Faults",
     "NavigationEnv",
     "PhysicsState",
+    "RewardConstants",
     "Robot",
     "Scene",
     "get_robot",

@@ -7,7 +7,8 @@ Task of de Heuvel et al., "Demonstration-Enhanced Adaptable Multi-Objective Robo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
@@ -23,7 +24,8 @@ from .faults import Faults, get_faults
 from .geometry import arctan2, cos_sin
 from .lidar import MIN_RANGE, Lidar
 from .mjcf import Drive, navigation_mjcf, time_step
-from .navigation_task import NavigationTask
+from .navigation_task import PAPER_OBJECTIVES, NavigationTask
+from .objectives import RewardConstants, check_objectives, get_rewards
 from .rendering import Camera
 from .robots import Robot, get_robot
 from .scene_stream import SceneStream
@@ -42,7 +44,8 @@ class NavigationEnv(BatchedMujocoEnv):
     ``goal``               ``[N, 2]``    distance (m) and bearing (rad) of the goal from the robot
     ``human``              ``[N, 2]``    the same for the human's centre
     ``action``             ``[N, 2]``    forward speed (m/s) and turn rate (rad/s)
-    ``reward``             ``[N, 3]``    one entry per objective: core, distance, efficiency
+    ``reward``             ``[N, K]``    one entry per objective: core, distance, efficiency,
+                                         unless ``objectives`` says otherwise
     ``success``            ``[N, 1]``    the goal was reached, without a collision
     ``collision_human``    ``[N, 1]``    the episode ended by touching the human
     ``collision_obstacle`` ``[N, 1]``    the episode ended by touching a box
@@ -56,17 +59,21 @@ class NavigationEnv(BatchedMujocoEnv):
                                          ``snapshots=False``
     =====================  ============  =======================================================
 
-    Objectives (equations 2 to 4 of the paper, with the sign of the goal term corrected):
+    Objectives (equations 2 to 4 of the paper, with the sign of the goal term corrected; ``rewards``
+    holds the numbers):
 
     - core: ``125 (d[t-1] - d[t])`` for approaching the goal, ``-1000`` for a collision;
     - distance: ``-10 (2 - d_h)^2 / (2 - 0.3)^2`` while the human's centre is within 2 m;
-    - efficiency: ``-10`` a step.
+    - efficiency: ``-10`` a step;
+    - clearance, for those who ask: ``-10 (1 - d_b)^2`` while a box is within 1 m of the robot's hull.
 
     An episode terminates at the goal or in a collision and is truncated after 300 steps of 0.2 s.
 
     Keyword Args:
-        scene: a name from :data:`envs.SCENES` or a :class:`envs.Scene`.
-        robot: a name from :data:`envs.ROBOTS` or a :class:`envs.Robot`.
+        scene: a name from :data:`envs.SCENES`, a YAML file, a mapping or a :class:`envs.Scene`: see
+            :func:`envs.get_scene`.
+        robot: a name from :data:`envs.ROBOTS`, a YAML file, a mapping or a :class:`envs.Robot`: see
+            :func:`envs.get_robot`.
         drive: ``"planar"`` (velocity servos) or ``"wheels"`` (rolling contact, several times dearer,
             for sim-to-sim checks).
         goal_radius: distance between the robot's centre and the goal at which it is reached, m.
@@ -75,12 +82,16 @@ class NavigationEnv(BatchedMujocoEnv):
         repeat_failed: share of the episodes that take place in a scene in which one has failed, for
             training: see :class:`envs.scene_stream.SceneStream`.
         faults: sensor and actuation faults, also as a mapping of their names to amounts.
+        objectives: names from :data:`envs.OBJECTIVES`, one for each entry of the reward.
+        rewards: constants of the objectives, also as a mapping of their names to numbers.
         max_episode_steps: steps of 0.2 s before truncation.
         camera: ``"top"`` shows the whole scene from above, ``"chase"`` follows the robot.
         **kwargs: see :class:`BatchedMujocoEnv`.
 
     Raises:
-        ValueError: for an unknown scene, robot or drive, or sizes that are not positive.
+        ValueError: for an unknown scene, robot, drive or objective, sizes that are not positive, a
+            described scene that this robot cannot solve, and at a reset for a scene of a
+            :class:`envs.Scene` that has something wrong with it.
 
     Examples:
         >>> env = NavigationEnv(num_envs=4, seed=0)
@@ -92,19 +103,22 @@ class NavigationEnv(BatchedMujocoEnv):
     """
 
     CONTROL_PERIOD: ClassVar[float] = 0.2
-    objectives: ClassVar[tuple[str, ...]] = ("core", "distance", "efficiency")
+    objectives: tuple[str, ...] = PAPER_OBJECTIVES
+    """Those of the reward, in their order; of the class, the default."""
 
     def __init__(
         self,
         *,
-        scene: str | Scene = "static",
-        robot: str | Robot = "turtlebot2",
+        scene: str | Path | Mapping[str, Any] | Scene = "static",
+        robot: str | Path | Mapping[str, Any] | Robot = "turtlebot2",
         drive: Drive = "planar",
         goal_radius: float = 0.3,
         num_rays: int = 720,
         max_range: float = 4.0,
         repeat_failed: float = 0.0,
         faults: Faults | Mapping[str, Any] | None = None,
+        objectives: Sequence[str] = PAPER_OBJECTIVES,
+        rewards: RewardConstants | Mapping[str, Any] | None = None,
         max_episode_steps: int = 300,
         camera: str | Camera = "top",
         **kwargs: Any,
@@ -123,6 +137,8 @@ class NavigationEnv(BatchedMujocoEnv):
         self.num_rays = num_rays
         self.max_range = max_range
         self.faults = get_faults(faults)
+        self.objectives = check_objectives(objectives)
+        self.rewards = get_rewards(rewards)
         self.repeat_failed = repeat_failed
         # Faults draw from their own generator, so that switching them on leaves scenes unchanged.
         self._fault_rng = torch.Generator()
@@ -143,7 +159,11 @@ class NavigationEnv(BatchedMujocoEnv):
 
     def _make_model(self) -> mujoco.MjModel:
         self._scenes = SceneStream(
-            self.scene, self.robot.radius, self.num_envs, repeat_failed=self.repeat_failed
+            self.scene,
+            self.robot.radius,
+            self.num_envs,
+            repeat_failed=self.repeat_failed,
+            goal_radius=self.goal_radius,
         )
         xml = navigation_mjcf(
             self.robot,
@@ -217,6 +237,8 @@ class NavigationEnv(BatchedMujocoEnv):
             self.scene.num_boxes,
             robot_radius=self.robot.radius,
             goal_radius=self.goal_radius,
+            objectives=self.objectives,
+            rewards=self.rewards,
         )
         self._pending = torch.zeros(n, 2, dtype=torch.float64)
         self._faults = self.faults.draw(n, torch.Generator())
@@ -312,7 +334,7 @@ class NavigationEnv(BatchedMujocoEnv):
         return self.reward_from(state.qpos[:, :2])
 
     def reward_from(self, position: Tensor) -> Tensor:
-        """Reward ``[N, 3]`` of the step that led the robots to where they are; actions do not matter.
+        """Reward ``[N, K]`` of the step that led the robots to where they are; actions do not matter.
 
         Args:
             position: where they were before it, ``[N, 2]``, metres.

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from .geometry import cos_sin, norm
+from .objectives import OBJECTIVES, RewardConstants
 from .scenes import HUMAN_RADIUS
 
-GOAL_REWARD = 125.0
-COLLISION_REWARD = -1000.0
-STYLE_PENALTY = -10.0
-DISTANCE_THRESHOLD = 2.0
-DISTANCE_MINIMUM = 0.3
+PAPER_OBJECTIVES = ("core", "distance", "efficiency")
+"""Those that the simulator computes; "demo" is a reward model's."""
 
 
 class NavigationTask:
-    """The episodes of ``num_envs`` robots: equations 2 to 4 of the paper, and the geometry behind.
+    """The episodes of ``num_envs`` robots, and the geometry behind :mod:`envs.objectives`.
 
     Positions are in metres, headings in radians, all arrays float64.
 
@@ -24,13 +24,24 @@ class NavigationTask:
         num_boxes: boxes in each of them, ``B``.
         robot_radius: metres.
         goal_radius: distance at which the goal is reached, metres.
+        objectives: names of the entries of the reward, in their order.
+        rewards: constants of the objectives.
     """
 
     def __init__(
-        self, num_envs: int, num_boxes: int, *, robot_radius: float, goal_radius: float
+        self,
+        num_envs: int,
+        num_boxes: int,
+        *,
+        robot_radius: float,
+        goal_radius: float,
+        objectives: Sequence[str] = PAPER_OBJECTIVES,
+        rewards: RewardConstants = RewardConstants(),  # noqa: B008 - it cannot change
     ) -> None:
         self.robot_radius = robot_radius
         self.goal_radius = goal_radius
+        self.rewards = rewards
+        self._objectives = [OBJECTIVES[name] for name in objectives]
         self.goal = np.zeros((num_envs, 2))
         self.human_pose = np.zeros((num_envs, 3))
         self.human_goal = np.zeros((num_envs, 2))
@@ -97,23 +108,26 @@ class NavigationTask:
         return self.flags.any(1, keepdims=True)
 
     def _touches_box(self) -> np.ndarray:
+        return (self._squared_box_distance() <= self.robot_radius**2).any(0)
+
+    def _squared_box_distance(self) -> np.ndarray:
+        """From the robots' centres to the boxes, ``[B, N]``, zero inside."""
         x, y = self.way[:, 2:]
         cos, sin = self._box_cos, self._box_sin
         half_length, half_width = self.boxes[..., 3].T, self.boxes[..., 4].T
         # From the robot to the nearest point of the box, in the frame of the box.
         along = np.maximum(abs(cos * x + sin * y) - half_length, 0.0)
         across = np.maximum(abs(cos * y - sin * x) - half_width, 0.0)
-        return (along * along + across * across <= self.robot_radius**2).any(0)
+        return along * along + across * across
+
+    def clearance(self) -> np.ndarray:
+        """From the robots' hulls to the nearest box, ``[N]``, metres; ``inf`` without boxes."""
+        squared = self._squared_box_distance().min(0, initial=np.inf)
+        return np.maximum(np.sqrt(squared) - self.robot_radius, 0.0)
 
     def reward(self, before: np.ndarray) -> np.ndarray:
-        """Core, distance and efficiency ``[N, 3]`` of robots that were at ``before`` [N, 2]."""
-        distance_before = norm(self.goal - before)
-        distance, human = self.distance
-        collided = self.flags[:, 1] | self.flags[:, 2]
-        closeness = np.maximum(DISTANCE_THRESHOLD - human, 0.0)
-        penalty = (closeness / (DISTANCE_THRESHOLD - DISTANCE_MINIMUM)) ** 2
-        reward = np.empty((len(before), 3))
-        reward[:, 0] = GOAL_REWARD * (distance_before - distance) + COLLISION_REWARD * collided
-        reward[:, 1] = STYLE_PENALTY * penalty
-        reward[:, 2] = STYLE_PENALTY
+        """An entry per objective ``[N, K]`` for robots that were at ``before`` [N, 2]."""
+        reward = np.empty((len(before), len(self._objectives)))
+        for entry, objective in enumerate(self._objectives):
+            reward[:, entry] = objective(self, before)
         return reward

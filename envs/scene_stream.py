@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from .scene_checks import checked
+from .scene_files import SceneSampler
 from .scenes import Scene
 
 SCENE_BLOCK = 64
@@ -27,13 +29,20 @@ class SceneStream:
         num_envs: environments that play them.
         repeat_failed: share of the episodes that take place in a scene in which an episode has failed,
             once there is one.
+        goal_radius: distance from the goal at which it is reached, metres.
 
     Raises:
-        ValueError: for a share that is not between 0 and 1.
+        ValueError: for a share that is not between 0 and 1, or a described scene that cannot be.
     """
 
     def __init__(
-        self, scene: Scene, robot_radius: float, num_envs: int, *, repeat_failed: float = 0.0
+        self,
+        scene: Scene,
+        robot_radius: float,
+        num_envs: int,
+        *,
+        repeat_failed: float = 0.0,
+        goal_radius: float = 0.0,
     ) -> None:
         if not 0.0 <= repeat_failed <= 1.0:
             raise ValueError(f"repeat_failed must be between 0 and 1, got {repeat_failed}.")
@@ -41,6 +50,10 @@ class SceneStream:
         self.robot_radius = robot_radius
         self.num_envs = num_envs
         self.repeat_failed = repeat_failed
+        self.goal_radius = goal_radius
+        if isinstance(scene.sample, SceneSampler):
+            # Before anything is trained or written. A function of the user's may keep a count.
+            scene.sample.check(robot_radius)
         self.seed(0)
 
     def seed(self, seed: int) -> None:
@@ -61,6 +74,9 @@ class SceneStream:
             rows: ``[n]``.
             failed: of the episodes that end here, ``[n]``, bool: not at the goal.
             generator: of new scenes.
+
+        Raises:
+            ValueError: for a new scene that has something wrong with it.
         """
         if not self.repeat_failed:
             return self._next(len(rows), generator)
@@ -95,6 +111,7 @@ class SceneStream:
     def _next(self, n: int, generator: torch.Generator) -> dict[str, np.ndarray]:
         while self._new is None or len(self._new["start"]) < n:
             block = self.scene.sample(SCENE_BLOCK, self.robot_radius, generator)
+            block = checked(block, self.scene, SCENE_BLOCK, self.robot_radius, self.goal_radius)
             block = {key: values.numpy() for key, values in block.items()}
             self._new = block if self._new is None else _joined(self._new, block)
         taken = {key: values[:n] for key, values in self._new.items()}

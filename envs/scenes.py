@@ -14,13 +14,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 import torch
 from tensordict import TensorDict
 from torch import Tensor
 
 from torchrl_morl.geometry import box_box_distance, point_box_distance, segment_box_distance
+
+from .fields import is_description, is_name, is_number, shown
 
 HUMAN_RADIUS = 0.25
 """Radius of the cylinder that stands for the human, metres."""
@@ -44,12 +48,35 @@ class Scene:
             ``human_goal`` [n, 2] where the human walks to, and ``boxes`` [n, num_boxes, 5] (x, y,
             yaw, half length, half width).
         human_speed: walking speed of the human, m/s; zero stands still.
+
+    What ``sample`` returns is checked by the environment, see :func:`envs.scene_checks.checked`.
+
+    Raises:
+        ValueError: for a name, a count or a speed that is none.
     """
 
     name: str
     num_boxes: int
     sample: Callable[[int, float, torch.Generator], TensorDict]
     human_speed: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not is_name(self.name):
+            raise ValueError(f"scene: name must be text of one line, got {shown(self.name)}.")
+        count = self.num_boxes
+        if not isinstance(count, int) or isinstance(count, bool) or count < 0:
+            raise ValueError(
+                f"Scene {self.name!r}: num_boxes must be a whole number, 0 or more, got {shown(count)}."
+            )
+        if not callable(self.sample):
+            raise ValueError(
+                f"Scene {self.name!r}: sample must be a function, got {shown(self.sample)}."
+            )
+        if not (is_number(self.human_speed) and self.human_speed >= 0):
+            raise ValueError(
+                f"Scene {self.name!r}: human_speed must be a number of m/s, 0 or more, "
+                f"got {shown(self.human_speed)}."
+            )
 
 
 def _uniform(shape: tuple[int, ...], low: float, high: float, rng: torch.Generator) -> Tensor:
@@ -278,16 +305,41 @@ SCENES: dict[str, Scene] = {
 }
 
 
-def get_scene(scene: str | Scene) -> Scene:
-    """Return the scene of that name, or the scene itself.
+def get_scene(scene: str | Path | Mapping[str, Any] | Scene) -> Scene:
+    """Return the scene of that name or description, or the scene itself.
+
+    Args:
+        scene: a name from :data:`SCENES`, the path of a YAML file (``.yaml``, ``.yml``), a mapping of
+            the same fields, or a :class:`Scene`. The fields are ``start`` (x, y, heading), ``goal``
+            (x, y), ``human`` (x, y, and a heading if you like) and ``boxes``, a list of ``at`` (x, y),
+            ``yaw`` and ``size`` (length, width); where the human walks, ``human_goal`` (x, y) and
+            ``human_speed``. Metres, radians, m/s. A range [low, high] in place of a number is drawn from
+            in every episode.
 
     Raises:
-        ValueError: if no scene has that name.
+        FileNotFoundError: if there is no such file.
+        ValueError: if no scene has that name, and for a field that does not exist or is refused.
+
+    Examples:
+        A person somewhere beside a wall.
+
+        >>> wall = {"at": [4.0, 2.0], "size": [0.2, 2.0]}
+        >>> scene = get_scene(
+        ...     {"start": [0, 0, 0], "goal": [8, 0], "human": [[3, 5], -0.5], "boxes": [wall]}
+        ... )
+        >>> generator = torch.Generator().manual_seed(0)
+        >>> scene.sample(64, 0.177, generator)["human"].shape
+        torch.Size([64, 3])
     """
     if isinstance(scene, Scene):
         return scene
-    if scene not in SCENES:
+    if isinstance(scene, str) and scene in SCENES:
+        return SCENES[scene]
+    if not is_description(scene):
         raise ValueError(
-            f"Unknown scene {scene!r}: choose one of {sorted(SCENES)}, or pass an envs.Scene."
+            f"Unknown scene {shown(scene)}: choose one of {sorted(SCENES)}, the path of a .yaml "
+            "file, a mapping of fields, or an envs.Scene."
         )
-    return SCENES[scene]
+    from .scene_files import scene_from  # which makes a Scene
+
+    return scene_from(scene)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -10,7 +12,7 @@ from torch import Tensor, nn
 from torchrl_morl.deploy.features import GOAL_SCALE, observation_parts
 
 from .navigation import NavigationEnv
-from .navigation_task import GOAL_REWARD, STYLE_PENALTY
+from .objectives import RewardConstants, get_rewards
 from .robots import Robot, get_robot
 
 
@@ -39,6 +41,7 @@ class StraightDriveValue(nn.Module):
         reward_scale: factor on all rewards, as in the replay buffer.
         robot: whose full speed it is.
         goal_radius: of the task, metres.
+        rewards: constants of the objectives, as in :class:`NavigationEnv`.
 
     Shape:
         ``observation`` ``[*B, D]`` of :func:`~torchrl_morl.deploy.features.policy_transforms` to ``[*B, K]``.
@@ -64,14 +67,16 @@ class StraightDriveValue(nn.Module):
         *,
         gamma: float,
         reward_scale: float = 1.0,
-        robot: str | Robot = "turtlebot2",
+        robot: str | Path | Mapping[str, Any] | Robot = "turtlebot2",
         goal_radius: float = 0.3,
+        rewards: RewardConstants | Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__()
         if not 0 < gamma <= 1:
             raise ValueError(f"gamma must be in (0, 1], got {gamma}.")
         step = get_robot(robot).max_speed * NavigationEnv.CONTROL_PERIOD
-        earned = {"core": GOAL_REWARD * step, "efficiency": STYLE_PENALTY}
+        constants = get_rewards(rewards)
+        earned = {"core": constants.goal_reward * step, "efficiency": constants.style_penalty}
         self.rewards = tuple(reward_scale * earned.get(name, 0.0) for name in objectives)
         self.gamma, self.step, self.goal_radius = gamma, step, goal_radius
         self.goal_distance = observation_parts()["goal"][0]

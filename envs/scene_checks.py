@@ -1,0 +1,222 @@
+"""What is wrong with scenes: said in one line, before an episode begins in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from torchrl_morl.evaluation import shortest_path_length
+from torchrl_morl.geometry import (
+    box_box_distance,
+    point_box_distance,
+    rotate,
+    segment_box_distance,
+)
+
+from .scenes import HUMAN_RADIUS, Scene
+
+
+class Problem(NamedTuple):
+    """Something that no scene may have."""
+
+    field: str
+    reason: str
+    """What it must be instead; ``{box}`` stands for the number of a box."""
+    where: Tensor
+    """Which scenes have it, bool ``[n]``, or which of their boxes, ``[n, B]``."""
+
+    def scenes(self) -> Tensor:
+        """Which scenes have it, ``[n]``."""
+        return self.where if self.where.ndim == 1 else self.where.any(-1)
+
+    def sentence(self, row: int) -> str:
+        """Field and reason in the scene ``row``, which has it."""
+        box = int(self.where[row].to(torch.uint8).argmax()) if self.where.ndim > 1 else 0
+        return f"{self.field} {self.reason}".format(box=box)
+
+
+def checked(scenes: TensorDictBase, scene: Scene, n: int, robot_radius: float, goal_radius: float):
+    """The fields of :class:`Scene` in what its ``sample`` returned, once they are found to be right.
+
+    Args:
+        scenes: what it returned.
+        scene: whose name messages bear.
+        n: how many scenes were asked for.
+        robot_radius: metres.
+        goal_radius: distance from the goal at which it is reached, metres.
+
+    Returns:
+        A mapping of the fields to tensors ``[n, ...]``.
+
+    Raises:
+        ValueError: in one line, for a missing field, a shape, a type, a number that is not finite, a
+            robot, goal or human inside something, or a start that is at the goal.
+    """
+    shapes = {
+        "start": (n, 3),
+        "goal": (n, 2),
+        "human": (n, 3),
+        "human_goal": (n, 2),
+        "boxes": (n, scene.num_boxes, 5),
+    }
+    fields: dict[str, Tensor] = {}
+    for field, shape in shapes.items():
+        value = scenes.get(field, None)
+        if value is None:
+            raise ValueError(f"Scene {scene.name!r}: its sample returns no {field!r}.")
+        fields[field] = value
+        _check_tensor(f"Scene {scene.name!r}: {field}", value, shape, scene.num_boxes)
+    found = problems(fields, robot_radius, goal_radius, walks=scene.human_speed > 0)
+    for problem in found:
+        bad = problem.scenes()
+        if bad.any():
+            row = int(bad.to(torch.uint8).argmax())
+            # Of boxes, the reason names the one.
+            value = (
+                ""
+                if problem.field.startswith("box")
+                else f", got {_rounded(fields[problem.field][row])}"
+            )
+            raise ValueError(
+                f"Scene {scene.name!r}, scene {row} of {n}: {problem.sentence(row)}{value}."
+            )
+    return fields
+
+
+def _check_tensor(name: str, value: Any, shape: tuple[int, ...], num_boxes: int) -> None:
+    if not isinstance(value, Tensor):
+        raise ValueError(f"{name} must be a tensor, got {type(value).__name__}.")
+    if value.shape != shape:
+        why = f" of its {num_boxes} boxes (num_boxes)" if len(shape) == 3 else ""
+        raise ValueError(f"{name} must be {list(shape)}{why}, got {list(value.shape)}.")
+    if value.dtype != torch.float64:
+        raise ValueError(f"{name} must be float64, got {value.dtype}: give it dtype=torch.float64.")
+    if value.device.type != "cpu" or value.requires_grad:
+        raise ValueError(f"{name} must be on the CPU and without gradient, got {value.device}.")
+
+
+def _rounded(value: Tensor) -> list[float]:
+    return [round(number, 3) for number in value.tolist()]
+
+
+def problems(
+    scenes: dict[str, Tensor] | TensorDictBase,
+    robot_radius: float,
+    goal_radius: float,
+    *,
+    walks: bool,
+) -> Iterator[Problem]:
+    """Everything that can be wrong with the numbers of scenes.
+
+    Args:
+        scenes: the fields of :class:`Scene`, ``[n, ...]``.
+        robot_radius: metres.
+        goal_radius: metres.
+
+    Keyword Args:
+        walks: whether humans walk to their goals.
+    """
+    for field in ("start", "goal", "human", "human_goal"):
+        yield Problem(field, "must be finite", ~scenes[field].isfinite().all(-1))
+    boxes = scenes["boxes"]
+    yield Problem("boxes[{box}]", "must be finite", ~boxes.isfinite().all(-1))
+    yield Problem("boxes[{box}]", "must have a size above 0", ~(boxes[..., 3:] > 0).all(-1))
+    start, goal, human = scenes["start"][:, :2], scenes["goal"], scenes["human"][:, :2]
+    way = (goal - start).norm(dim=-1)
+    yield Problem(
+        "goal",
+        f"must be farther from the start than its radius of {goal_radius:g} m",
+        way <= goal_radius,
+    )
+    places = torch.stack((start, goal, human), dim=1)
+    gaps = point_box_distance(places[:, :, None], boxes[:, None])
+    robot = f"the robot's radius of {robot_radius:g} m"
+    yield Problem(
+        "start", f"must be farther from boxes[{{box}}] than {robot}", gaps[:, 0] <= robot_radius
+    )
+    yield Problem(
+        "goal", f"must be farther from boxes[{{box}}] than {robot}", gaps[:, 1] <= robot_radius
+    )
+    yield Problem(
+        "human",
+        f"must be farther from boxes[{{box}}] than the human's radius of {HUMAN_RADIUS:g} m",
+        gaps[:, 2] <= HUMAN_RADIUS,
+    )
+    apart = robot_radius + HUMAN_RADIUS
+    yield Problem(
+        "start",
+        f"must be farther from the human than both radii, {apart:g} m",
+        (start - human).norm(dim=-1) <= apart,
+    )
+    stays = (
+        (scenes["human_goal"] == human).all(-1) if walks else torch.ones_like(way, dtype=torch.bool)
+    )
+    yield Problem(
+        "goal",
+        f"must be farther from the human than both radii, {apart:g} m",
+        stays & ((goal - human).norm(dim=-1) <= apart),
+    )
+    walk = human[:, None], scenes["human_goal"][:, None], boxes
+    if walks and _may_come_near(*walk, HUMAN_RADIUS).any():
+        yield Problem(
+            "human_goal",
+            f"must be reached from the human's place {HUMAN_RADIUS:g} m beside boxes[{{box}}]",
+            segment_box_distance(*walk) <= HUMAN_RADIUS,
+        )
+
+
+def _may_come_near(start: Tensor, end: Tensor, box: Tensor, distance: float) -> Tensor:
+    """Which segments meet boxes that are so much larger to all sides, bool.
+
+    A fifth of the time of their distance, and never ``False`` where that is smaller.
+    """
+    origin = rotate(start - box[..., :2], -box[..., 2])
+    way = rotate(end - box[..., :2], -box[..., 2]) - origin
+    way = way.masked_fill(way == 0, 1e-12)
+    half = box[..., 3:] + distance
+    one, other = (-half - origin) / way, (half - origin) / way
+    enters, leaves = torch.minimum(one, other).amax(-1), torch.maximum(one, other).amin(-1)
+    return (enters <= leaves) & (leaves >= 0) & (enters <= 1)
+
+
+def solvable(
+    scenes: dict[str, Tensor] | TensorDictBase, robot_radius: float, *, walks: bool
+) -> Tensor:
+    """In which scenes the robot finds a way to the goal past boxes and a standing human, bool ``[n]``.
+
+    Args:
+        scenes: the fields of :class:`Scene`, ``[n, ...]``, without :func:`problems`.
+        robot_radius: metres.
+
+    Keyword Args:
+        walks: whether humans walk, and leave the way free sooner or later.
+    """
+    start, goal, boxes = scenes["start"][:, :2], scenes["goal"], scenes["boxes"]
+    grown = torch.full(boxes.shape[:-1], robot_radius, dtype=torch.float64)
+    obstacles = boxes
+    if not walks:
+        human = torch.zeros(len(start), 1, 5, dtype=torch.float64)
+        human[:, 0, :2] = scenes["human"][:, :2]
+        obstacles = torch.cat((boxes, human), dim=1)
+        grown = torch.nn.functional.pad(grown, (0, 1), value=robot_radius + HUMAN_RADIUS)
+    free = (segment_box_distance(start[:, None], goal[:, None], obstacles) > grown).all(-1)
+    # Convex obstacles that stay disjoint when grown leave a connected plane.
+    first, second = torch.triu_indices(obstacles.shape[1], obstacles.shape[1], offset=1)
+    gaps = box_box_distance(obstacles[:, first], obstacles[:, second])
+    free |= (gaps > grown[:, first] + grown[:, second]).all(-1)
+    unsure = ~free
+    if unsure.any():
+        length = shortest_path_length(
+            start[unsure],
+            goal[unsure],
+            boxes[unsure],
+            radius=robot_radius,
+            human=None if walks else scenes["human"][unsure],
+            human_radius=HUMAN_RADIUS,
+        )
+        free[unsure] = length.isfinite()
+    return free
