@@ -34,7 +34,7 @@ format: $(STAMP) ## repair style and formatting
 
 clean: ## remove .venv and caches; runs/ stays
 	rm -rf .venv .pytest_cache .ruff_cache build dist *.egg-info
-	find torchrl_morl envs recipes tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+	find torchrl_morl envs recipes examples tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 ifneq ($(shell test -x $(VENV)/bin/python && echo works),works)
 .PHONY: $(STAMP)

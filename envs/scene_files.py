@@ -199,7 +199,8 @@ class SceneSampler:
             chosen = candidates[torch.arange(len(missing)), valid.to(torch.uint8).argmax(-1)]
             found = valid.any(-1)
             rows = found.nonzero()[:, 0]
-            solved = solvable(self._scenes(chosen[rows]), robot_radius, walks=self.walks)
+            scenes = self._scenes(chosen[rows])
+            solved = solvable(scenes, robot_radius, walks=self.walks, exact=False)
             found[rows] = solved
             drawn[missing[found]] = chosen[found]
             missing = missing[~found]
@@ -227,7 +228,7 @@ class SceneSampler:
         scene = self._scenes(self._low[None])
         for problem in problems(scene, robot_radius, _SHORTEST_WAY, walks=self.walks):
             if problem.scenes().any():
-                raise ValueError(f"{self.where}: {problem.sentence(0)}.")
+                raise ValueError(f"{self.where}: {problem.sentence_with_value(0, scene)}.")
         if not solvable(scene, robot_radius, walks=self.walks).all():
             raise ValueError(
                 f"{self.where}: goal must have a way to it for a robot of radius "
