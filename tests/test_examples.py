@@ -1,9 +1,14 @@
-"""The examples run as they stand."""
+"""The examples run as they stand, and so does what the pages about them show."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
+import pytest
+from omegaconf import OmegaConf
+
+from envs import NavigationEnv
 from examples import doorway, my_robot
 
 
@@ -22,3 +27,58 @@ def test_my_robot(capsys):
     assert re.match(r"my_robot: \d+ of its 541 beams meet something", printed)
     # The policy was trained with a smaller and slower one.
     assert sum(_arrived(printed)) >= 14
+
+
+PAGES = Path(doorway.__file__).parents[1] / "docs" / "how_to"
+
+
+def _blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", (PAGES / page).read_text(), re.DOTALL)
+
+
+@pytest.mark.parametrize("page", ["scene.md", "robot.md"])
+def test_the_python_of_the_pages_runs(page, capsys):
+    blocks = _blocks(page, "python")
+    assert blocks
+    for block in blocks:
+        exec(compile(block, page, "exec"), {})
+
+
+def test_the_files_of_the_pages_are_taken(tmp_path):
+    (text,), (other,) = _blocks("scene.md", "yaml"), _blocks("robot.md", "yaml")
+    scene, robot = tmp_path / "doorway.yaml", tmp_path / "my_robot.yaml"
+    scene.write_text(text)
+    robot.write_text(other)
+    env = NavigationEnv(scene=scene, robot=robot, num_envs=2, num_threads=1, seed=0)
+    assert env.scene.num_boxes == 2 and env.robot.max_speed == 0.8
+    env.rollout(3)
+
+
+def test_the_refusals_of_the_page_are_those_of_the_reader(tmp_path):
+    (text,) = _blocks("scene.md", "yaml")
+    shown = re.findall(r"^doorway\.yaml: .*$", (PAGES / "scene.md").read_text(), re.MULTILINE)
+    fixed = OmegaConf.to_container(OmegaConf.create(text))
+    fixed |= {"start": [0, 0, 0], "goal": [8, 0], "human": [5, 0]}
+    closed = [{"at": [x, y], "size": [a, b]} for x, y, a, b in _ROOM]
+    changes = [
+        ({"start": [0, 0, 90]}, 0.177),
+        ({"goal": [3, -1]}, 0.177),
+        ({"human": [6, 0.0], "boxes": closed}, 0.45),
+        ({"humna": [1, 2]}, 0.177),
+    ]
+    path = tmp_path / "doorway.yaml"
+    for line, (change, radius) in zip(shown, changes, strict=True):
+        OmegaConf.save(OmegaConf.create({**fixed, **change}), path)
+        with pytest.raises(ValueError) as error:
+            NavigationEnv(scene=path, robot={"radius": radius})
+        assert str(error.value).replace(str(path), "doorway.yaml") == line
+
+
+# Around the goal, with a door of 0.8 m.
+_ROOM = [
+    (3, 2.9, 0.2, 5),
+    (3, -2.9, 0.2, 5),
+    (7, 5, 8.2, 0.2),
+    (7, -5, 8.2, 0.2),
+    (11, 0, 0.2, 10.2),
+]
