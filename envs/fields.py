@@ -85,6 +85,22 @@ def read_yaml(path: str | Path) -> dict[Any, Any]:
     return values
 
 
+def portable(source: Any) -> Any:
+    """What a card can keep: the fields of a file and its name, and anything else as it is.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: as :func:`read_yaml`.
+
+    Examples:
+        >>> portable("static")
+        'static'
+    """
+    if isinstance(source, Mapping) or not is_description(source):
+        return source
+    return {"name": Path(source).stem, **read_yaml(source)}
+
+
 def _reason(error: yaml.YAMLError) -> str:
     """In one line, with the place."""
     problem = getattr(error, "problem", None) or str(error)

@@ -174,6 +174,15 @@ class SceneSampler:
         ranges += [numbers for box in boxes for numbers in box]
         self._low, self._high = torch.tensor(ranges, dtype=torch.float64).T.contiguous()
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SceneSampler) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[Any, ...]:
+        return self.walks, self.ahead, *self._low.tolist(), *self._high.tolist()
+
     @property
     def is_fixed(self) -> bool:
         """Whether all scenes are one."""

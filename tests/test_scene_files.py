@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import math
 import pickle
 
@@ -11,6 +12,7 @@ import torch
 from omegaconf import OmegaConf
 
 from envs import HUMAN_RADIUS, TURTLEBOT2, NavigationEnv, get_scene
+from envs.fields import portable
 from torchrl_morl.evaluation import shortest_path_length
 from torchrl_morl.geometry import point_box_distance, segment_box_distance
 
@@ -146,6 +148,15 @@ def test_what_takes_a_scene_takes_a_file_a_path_a_mapping_and_a_configuration(tm
         assert all(torch.equal(expected[key], drawn[key]) for key in expected.keys())
     assert get_scene(path).name == "doorway" and get_scene(mapping).name == "custom"
     assert get_scene(path.rename(tmp_path / "other.YML")).name == "other"
+
+
+def test_a_card_keeps_what_the_file_says(tmp_path):
+    path = _written(tmp_path, DOOR)
+    scene, kept = get_scene(path), json.loads(json.dumps(portable(path)))
+    path.unlink()
+    assert get_scene(kept) == scene and hash(get_scene(kept)) == hash(scene)
+    assert get_scene({**kept, "goal": [8, [-1, 1.1]]}) != scene
+    assert portable("static") == "static" and portable(kept) is kept and portable(scene) is scene
 
 
 def test_a_described_scene_is_copied_with_its_environment(tmp_path):
