@@ -29,7 +29,7 @@ class Faults:
         ValueError: for values outside these ranges, or a pair that is not in ascending order.
 
     Examples:
-        >>> faults = Perturbation(range_noise=(0.0, 0.05), latency=1)
+        >>> faults = Faults(range_noise=(0.0, 0.05), latency=1)
         >>> amounts = faults.draw(1000, torch.Generator().manual_seed(0))
         >>> amounts.shape, bool((amounts[:, 0] <= 0.05).all()), bool((amounts[:, 3] == 1).all())
         (torch.Size([1000, 4]), True, True)

@@ -27,8 +27,8 @@ PERSONAL_SPACE = 2.0
 WORST_FRECHET = 3.0
 """Frechet distance that counts as no likeness at all, metres."""
 
-WIDE_CLEARANCE = 0.5
-"""Clearance to boxes from which on more is no better, metres."""
+WIDE_CLEARANCE = 1.0
+"""Clearance to boxes from which on more is no better, metres: clearance_threshold of the reward."""
 
 
 @dataclasses.dataclass(frozen=True)

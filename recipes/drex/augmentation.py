@@ -29,7 +29,7 @@ from .demonstrations import demonstrated
 from .rollouts import core_return, frechet, mean_and_error, rollouts, succeeded
 
 _LABELS = {
-    "core": "core return / (125 x start-goal distance)",
+    "core": "core return, as a share of what the way to the goal pays",
     "frechet": "Frechet distance to the demonstration / m",
     "success": "success rate",
 }

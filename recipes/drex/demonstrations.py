@@ -12,6 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from envs import NavigationEnv
 from envs.demonstrations import CircleDemonstrator, demonstrated_paths
 from envs.policy_env import simulated
+from envs.splits import training_seed
 from recipes.training.task import check_observation
 from torchrl_morl.data import load_demonstrations
 
@@ -58,7 +59,7 @@ def collect_demonstrations(cfg: DictConfig) -> TensorDictBase:
 def demonstrated(cfg: DictConfig, count: int, seed: int) -> TensorDict:
     """What the demonstrator drives in the scenes of :func:`rollouts`, as if there were no boxes."""
     kwargs = simulated(cfg.env)
-    env = NavigationEnv(num_envs=count, seed=seed, **kwargs)
+    env = NavigationEnv(num_envs=count, seed=training_seed(seed), **kwargs)
     start = env.reset()
     env.close()
     driver = CircleDemonstrator(**demonstrator_arguments(cfg))

@@ -142,7 +142,7 @@ def degradation_figure(
     """
     count = min(cfg.diagnostics.rollouts, cfg.noise.rollouts)
     core = torch.stack([core_return(data[:count]) for _, data in noisy])
-    panels = [(core, "core return / (125 x start-goal distance)")]
+    panels = [(core, "core return, as a share of what the way to the goal pays")]
     title = "cloned policy under held noise, means and standard errors"
     if cfg.demonstrations.dataset is None:
         # In the scenes of the noisy rollouts; nobody can follow a path that leads through a box.

@@ -14,7 +14,9 @@ from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from envs.metrics import trajectories
+from envs.objectives import RewardConstants
 from envs.policy_env import make_policy_env
+from envs.splits import training_seed
 from torchrl_morl.evaluation import discrete_frechet, episode_mask
 from torchrl_morl.modules.exploration import HeldEGreedyModule
 
@@ -43,7 +45,7 @@ def rollouts(
     **env_kwargs: Any,
 ) -> TensorDictBase:
     """``count`` first episodes ``[N, T]`` of a policy with ``mask``, in one batch."""
-    env = make_policy_env(num_envs=count, seed=seed, **env_kwargs)
+    env = make_policy_env(num_envs=count, seed=training_seed(seed), **env_kwargs)
     exploration = ExplorationType.RANDOM if random else ExplorationType.DETERMINISTIC
     with set_exploration_type(exploration):
         data = env.rollout(max_steps, policy, break_when_any_done=False, break_when_all_done=True)
@@ -82,7 +84,7 @@ def noisy_rollouts(
 def core_return(data: TensorDictBase) -> Tensor:
     """Of trajectories ``[N, T]``, as a share of what the way to the goal pays: 1 at best."""
     reward = data["next", "reward"][..., 0] * data["mask"]
-    return reward.sum(-1) / (125 * data["goal"][:, 0, 0])
+    return reward.sum(-1) / (RewardConstants().goal_reward * data["goal"][:, 0, 0])
 
 
 def frechet(data: TensorDictBase, reference: TensorDictBase) -> Tensor:

@@ -46,8 +46,9 @@ class Drives:
     @property
     def passes_left(self) -> Tensor:
         """Which pass on the left of the human, seen from the start: bool ``[N]``."""
-        at = self._distance.argmin(-1)
-        return self.position[torch.arange(len(self)), at, 1] > 0
+        # Abreast of the human: on an orbit every point is as near.
+        abreast = self.position[..., 0].abs().masked_fill(~self.mask, torch.inf).argmin(-1)
+        return self.position[torch.arange(len(self)), abreast, 1] > 0
 
     @property
     def side(self) -> Side:

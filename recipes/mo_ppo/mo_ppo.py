@@ -139,9 +139,7 @@ def main(cfg: DictConfig) -> None:
         last = frames >= cfg.collector.total_frames
         if last or crossed(cfg.evaluation.interval, collected, frames):
             with timeit("evaluate"):
-                result = evaluate_corners(
-                    cfg, task.eval_env, averaged.module, task.preference_space, task.demonstration
-                )
+                result = evaluate_corners(cfg, task, averaged.module)
             log_metrics(loggers, result.metrics, frames)
             # What goes on from the end has a schedule of its own.
             next_begin = frames if last else begin

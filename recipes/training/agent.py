@@ -61,6 +61,7 @@ def make_straight_drive_value(cfg: DictConfig, task: Task) -> StraightDriveValue
         reward_scale=cfg.replay_buffer.reward_scale,
         robot=cfg.env.robot,
         goal_radius=cfg.env.goal_radius,
+        rewards=cfg.env.get("rewards"),
     )
 
 

@@ -9,11 +9,11 @@ from omegaconf import DictConfig
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import Tensor
-from torchrl.envs import EnvBase
 
 from envs.metrics import episode_metrics, trajectories
-from torchrl_morl.evaluation import discrete_frechet, rollout_preferences
-from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.evaluation import discrete_frechet, min_clearance, rollout_preferences
+
+from .task import Task
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,17 +54,17 @@ class CornerResult:
         return "\n".join(lines)
 
 
-def evaluate_corners(
-    cfg: DictConfig,
-    env: EnvBase,
-    actor: TensorDictModule,
-    preference_space: PreferenceSpace,
-    demonstration: TensorDict | None,
-) -> CornerResult:
+def evaluate_corners(cfg: DictConfig, task: Task, actor: TensorDictModule) -> CornerResult:
+    """Drive under the corner preferences, and under their mean, in the scenes of the evaluation."""
+    preference_space, demonstration = task.preference_space, task.demonstration
     corners = preference_space.corners()
     preferences = torch.cat((corners, corners.mean(0, keepdim=True)))
     data = rollout_preferences(
-        env, actor, preferences, max_steps=cfg.env.max_episode_steps, seed=cfg.evaluation.seed
+        task.eval_env,
+        actor,
+        preferences,
+        max_steps=cfg.env.max_episode_steps,
+        seed=cfg.evaluation.seed,
     )
     mask, metrics = data["mask"], episode_metrics(data)
     reward = cfg.replay_buffer.reward_scale * data["next", "reward"]
@@ -81,6 +81,13 @@ def evaluate_corners(
         "saturated": (saturated * mask).sum((-2, -1)) / mask.sum((-2, -1)),
     }
     path = trajectories(data)
+    if "clearance" in preference_space.tunable:
+        columns["clearance"] = min_clearance(
+            path["position"],
+            task.scenes["boxes"],
+            path["mask"],
+            task.eval_env.base_env.robot.radius,
+        ).mean(-1)
     if demonstration is not None:
         frechet = discrete_frechet(
             path["position"], path["mask"], demonstration["position"], demonstration["mask"]

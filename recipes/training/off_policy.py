@@ -110,9 +110,7 @@ def train(
         last = frames >= cfg.collector.total_frames
         if updates and (last or logs.crossed(cfg.evaluation.interval, collected, frames)):
             with timeit("evaluate"):
-                result = evaluate_corners(
-                    cfg, task.eval_env, averaged.module, task.preference_space, task.demonstration
-                )
+                result = evaluate_corners(cfg, task, averaged.module)
             if after_evaluation is not None:
                 after_evaluation(result)
             score, success = result.score, result.success

@@ -10,6 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictSequential
 from torch import nn
 
+from envs.fields import portable
 from envs.policy_env import observation_size
 from torchrl_morl.deploy import save_policy
 
@@ -29,7 +30,7 @@ def save_training_policy(
     card = {
         **task.facts,
         **facts,
-        "config": OmegaConf.to_container(cfg, resolve=True),
+        "config": card_config(cfg),
         "evaluation": {"preferences": result.names, **result.columns},
         "score": result.score,
     }
@@ -44,6 +45,14 @@ def save_training_policy(
         num_cells=tuple(m.out_features for m in actor[0].module if isinstance(m, nn.Linear))[:-1],
         card=card,
     )
+
+
+def card_config(cfg: DictConfig) -> dict[str, Any]:
+    """The configuration as others can read it: files of scenes and robots by what they say."""
+    config = OmegaConf.to_container(cfg, resolve=True)
+    for section, name in (("env", "scene"), ("env", "robot"), ("evaluation", "scene")):
+        config[section][name] = portable(config[section][name])
+    return config
 
 
 def finish(run_dir: Path, cfg: DictConfig) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from torchrl.envs import EnvBase
 from envs import NavigationEnv
 from envs.demonstrations import CircleDemonstrator, demonstrated_paths
 from envs.policy_env import make_policy_env, observation_size, simulated
+from envs.splits import check_validation_seed, training_seed
 from recipes.evaluation.sweep import scene_layout
+from recipes.objectives import reward_objectives
 from torchrl_morl.deploy import load_reward_model
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.preferences import PreferenceSpace
@@ -61,7 +64,9 @@ def make_task(cfg: DictConfig) -> Task:
     device = torch.device(cfg.device)
     demo = load_demonstration_objective(cfg)
     reward_model, demo_card = demo if demo else (None, None)
-    preference_space = make_preference_space(with_demonstrations=demo is not None)
+    preference_space = make_preference_space(
+        cfg.env.get("objectives"), with_demonstrations=demo is not None
+    )
     start = evaluation_start(cfg)
     return Task(
         run_dir=run_dir,
@@ -104,11 +109,19 @@ def check_observation(cfg: DictConfig, source: str, size: int) -> None:
         )
 
 
-def make_preference_space(with_demonstrations: bool) -> PreferenceSpace:
-    """The core objective always counts once; the user weighs the others."""
-    core, *others = NavigationEnv.objectives
-    names = (core, *(["demo"] if with_demonstrations else []), *others)
-    return PreferenceSpace(names, static={core: 1.0})
+def make_preference_space(
+    names: Sequence[str] | None = None, *, with_demonstrations: bool
+) -> PreferenceSpace:
+    """The first objective always counts once; the user weighs the others.
+
+    Args:
+        names: of the environment's objectives; its defaults if ``None``.
+    """
+    names = reward_objectives(
+        NavigationEnv.objectives if names is None else names,
+        with_demonstrations=with_demonstrations,
+    )
+    return PreferenceSpace(names, static={names[0]: 1.0})
 
 
 def make_train_env(
@@ -120,7 +133,9 @@ def make_train_env(
         num_segments=cfg.preference.num_segments,
         seed=cfg.seed,
     )
-    return make_policy_env(sampler, reward_model=reward_model, seed=cfg.seed, **cfg.env)
+    # Never the scenes of an evaluation.
+    seed = training_seed(cfg.seed)
+    return make_policy_env(sampler, reward_model=reward_model, seed=seed, **cfg.env)
 
 
 def make_eval_env(
@@ -157,6 +172,6 @@ def evaluation_arguments(cfg: DictConfig) -> dict[str, Any]:
         **cfg.env,
         "num_envs": changed.episodes,
         "scene": changed.scene,
-        "seed": changed.seed,
+        "seed": check_validation_seed(changed.seed),
         "repeat_failed": 0.0,
     }
