@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from .fields import is_number, shown
 from .geometry import norm
-
-if TYPE_CHECKING:
-    from .navigation_task import NavigationTask
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +62,22 @@ class RewardConstants:
                 raise ValueError(f"rewards: {name} must be {allowed}, got {shown(value)}.")
 
 
-def core(task: NavigationTask, before: np.ndarray) -> np.ndarray:
+class Task(Protocol):
+    """What an objective may look at, of :class:`envs.navigation_task.NavigationTask`."""
+
+    goal: np.ndarray
+    """``[N, 2]``, metres."""
+    distance: np.ndarray
+    """Of goal and human from the robots, ``[2, N]``, metres."""
+    flags: np.ndarray
+    """Success, collision with the human, with a box: bool ``[N, 3]``."""
+    rewards: RewardConstants
+
+    def clearance(self) -> np.ndarray:
+        """From the robots' hulls to the nearest box, ``[N]``, metres."""
+
+
+def core(task: Task, before: np.ndarray) -> np.ndarray:
     """Approach of the goal, and collisions (equation 2 of the paper, its sign corrected)."""
     distance_before, (distance, _) = norm(task.goal - before), task.distance
     collided = task.flags[:, 1] | task.flags[:, 2]
@@ -73,7 +85,7 @@ def core(task: NavigationTask, before: np.ndarray) -> np.ndarray:
     return rewards.goal_reward * (distance_before - distance) + rewards.collision_reward * collided
 
 
-def distance(task: NavigationTask, before: np.ndarray) -> np.ndarray:
+def distance(task: Task, before: np.ndarray) -> np.ndarray:
     """Closeness to the human's centre, squared (equation 3)."""
     rewards, human = task.rewards, task.distance[1]
     closeness = np.maximum(rewards.distance_threshold - human, 0.0)
@@ -81,19 +93,19 @@ def distance(task: NavigationTask, before: np.ndarray) -> np.ndarray:
     return rewards.style_penalty * share**2
 
 
-def efficiency(task: NavigationTask, before: np.ndarray) -> np.ndarray:
+def efficiency(task: Task, before: np.ndarray) -> np.ndarray:
     """Every step costs the same (equation 4)."""
     return np.full(len(before), task.rewards.style_penalty)
 
 
-def clearance(task: NavigationTask, before: np.ndarray) -> np.ndarray:
+def clearance(task: Task, before: np.ndarray) -> np.ndarray:
     """Closeness of the robot's hull to the nearest box, squared."""
     threshold = task.rewards.clearance_threshold
     closeness = np.maximum(threshold - task.clearance(), 0.0)
     return task.rewards.style_penalty * (closeness / threshold) ** 2
 
 
-Objective = Callable[["NavigationTask", np.ndarray], np.ndarray]
+Objective = Callable[[Task, np.ndarray], np.ndarray]
 
 OBJECTIVES: dict[str, Objective] = {
     "core": core,
