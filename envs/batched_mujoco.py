@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import mujoco
@@ -215,6 +216,45 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
             self.batch.set_const()
         self.batch.state[...] = rows
         self.batch.forward()
+
+    # --- checkpoints ---------------------------------------------------------------------------
+
+    def simulation_state(self) -> dict[str, Any]:
+        """All that decides how the simulations go on, in the middle of their episodes.
+
+        Unlike a snapshot it is of the whole environment, generators included, and needs no
+        ``snapshots``. Subclasses add their own.
+
+        Returns:
+            Arrays, tensors, numbers and strings, nested in dictionaries: what a file may hold.
+        """
+        return {
+            "rows": np.array(self.batch.state),
+            "expanded": {name: np.array(field) for name, field in self.batch._expanded.items()},
+            "elapsed": self._elapsed.clone(),
+            "generator": self.rng.get_state(),
+        }
+
+    def load_simulation_state(self, state: Mapping[str, Any]) -> None:
+        """Go on from :meth:`simulation_state` of an environment with the same arguments.
+
+        Raises:
+            ValueError: for the state of another model, or of another number of simulations.
+        """
+        if state["rows"].shape != self.batch.state.shape:
+            raise ValueError(
+                f"The state is of {state['rows'].shape[0]} simulations with {state['rows'].shape[1]} "
+                f"numbers each, here they are {self.batch.state.shape[0]} with "
+                f"{self.batch.state.shape[1]}: give the environment the same arguments."
+            )
+        for name, values in state["expanded"].items():
+            self.batch.expand(name)[...] = values
+        if state["expanded"]:
+            self.batch.set_const()
+        self.batch.state[...] = state["rows"]
+        self.batch.forward()
+        self._elapsed.copy_(state["elapsed"])
+        self.rng.set_state(state["generator"])
 
     # --- EnvBase -------------------------------------------------------------------------------
 

@@ -192,6 +192,25 @@ class NavigationEnv(BatchedMujocoEnv):
         state.pop("_box_sizes")
         return state
 
+    def simulation_state(self) -> dict[str, Any]:
+        return super().simulation_state() | {
+            "task": self._task.state_dict(),
+            "scenes": self._scenes.state_dict(),
+            "pending": self._pending.clone(),
+            "faults": self._faults.clone(),
+            "fault_generator": self._fault_rng.get_state(),
+            "began": self._began.copy(),
+        }
+
+    def load_simulation_state(self, state: Mapping[str, Any]) -> None:
+        super().load_simulation_state(state)
+        self._task.load_state_dict(state["task"])
+        self._scenes.load_state_dict(state["scenes"])
+        self._pending = state["pending"].clone()
+        self._faults = state["faults"].clone()
+        self._fault_rng.set_state(state["fault_generator"])
+        self._began = state["began"].copy()
+
     def _make_action_spec(self) -> Bounded:
         turn = self.robot.max_turn_rate
         self._action_low = torch.tensor([0.0, -turn], dtype=torch.float64)

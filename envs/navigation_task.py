@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -57,6 +57,18 @@ class NavigationTask:
         """Why an episode ended, ``[N, 3]``: success, collision with the human, with a box."""
         self._points = np.zeros_like(self.way)
         self._box_cos, self._box_sin = np.zeros((2, num_boxes, num_envs))
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """Where everything is, and why episodes ended."""
+        return {name: value.copy() for name, value in self._arrays().items()}
+
+    def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
+        """Take it over from episodes of the same number and kind."""
+        for name, value in self._arrays().items():
+            value[...] = state[name]
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        return {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
 
     def begin(self, rows: np.ndarray, position: np.ndarray) -> None:
         """New episodes in the environments ``rows``, with all robots at ``position`` [N, 2]."""

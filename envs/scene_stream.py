@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import torch
 
@@ -64,6 +67,23 @@ class SceneStream:
         self._new: dict[str, np.ndarray] | None = None
         self._failed: dict[str, np.ndarray] | None = None
         self._played: dict[str, np.ndarray] | None = None
+
+    def state_dict(self) -> dict[str, Any]:
+        """Scenes that were drawn and not dealt, those that failed and are played, and the generator."""
+        return {
+            "generator": self._rng.bit_generator.state,
+            "known": self._known.copy(),
+            **{name: getattr(self, f"_{name}") for name in ("new", "failed", "played")},
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from there."""
+        self._rng.bit_generator.state = state["generator"]
+        self._known = state["known"].copy()
+        self._new, self._failed, self._played = (
+            None if state[name] is None else {key: one.copy() for key, one in state[name].items()}
+            for name in ("new", "failed", "played")
+        )
 
     def deal(
         self, rows: np.ndarray, failed: np.ndarray, generator: torch.Generator
