@@ -17,11 +17,11 @@ import torch
 import tqdm
 from omegaconf import DictConfig
 from torchrl._utils import timeit
-from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.envs import RewardScaling
 
 from recipes.training.agent import make_averaged
+from recipes.training.checkpoint import Checkpoints, CollectorState, Counters, check_frames_left
 from recipes.training.corners import evaluate_corners
 from recipes.training.logs import (
     announce,
@@ -41,7 +41,7 @@ from torchrl_morl.deploy import load_policy
 from . import penalties
 from .batches import BATCH, failing, failure_rate, make_replay_buffer
 from .networks import ENVS_AT_ONCE, make_advantage, make_critic, make_loss, make_policy
-from .optimizers import make_optimizers, make_schedule, resume
+from .optimizers import make_optimizers, make_schedule
 from .start import check, check_start, complete
 
 
@@ -64,36 +64,46 @@ def main(cfg: DictConfig) -> None:
     averaged = make_averaged(cfg, actor)
     optimizers = make_optimizers(cfg, loss)
     replay_buffer = make_replay_buffer(cfg, task)
-    state = Checkpoint(loss=loss, averaged=averaged, **optimizers)
-    frames, begin = resume(cfg, state)
-    schedule = make_schedule(cfg, optimizers["actor"], frames, begin)
     precision = torch.autocast(task.device.type, torch.bfloat16, enabled=task.facts["bfloat16"])
     env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
     tunable = task.preference_space.tunable
     demo = tunable.index("demo") if "demo" in tunable else None
-    # Nothing is written before the configuration has been accepted.
-    write_run_info(task.run_dir)
-    loggers = make_loggers(cfg, task.run_dir)
-    announce(cfg, task.run_dir)
 
     collector = Collector(
         env,
         policy,
         frames_per_batch=cfg.collector.frames_per_batch,
-        total_frames=cfg.collector.total_frames - frames,
+        total_frames=cfg.collector.total_frames,
         policy_device=task.device,
         storing_device=task.device,
         auto_register_policy_transforms=False,
     )
-    checkpoints = CheckpointRotation(
-        task.run_dir / "checkpoints", keep_last=1, keep_best=("score", "max")
+    # The learning rate falls from frame `begin` on: 0, unless a training that was over goes on.
+    count = Counters(frames=0, begin=0)
+    checkpoints = Checkpoints(
+        task.run_dir,
+        loss=loss,
+        advantage=advantage,
+        averaged=averaged,
+        **optimizers,
+        collector=CollectorState(collector, policy),
+        count=count,
     )
+    if cfg.resume is not None:
+        checkpoints.load()
+        check_frames_left(cfg, count.frames)
+    schedule = make_schedule(cfg, optimizers["actor"], count.frames, count.begin)
+    # Nothing is written before the configuration has been accepted.
+    write_run_info(task.run_dir)
+    loggers = make_loggers(cfg, task.run_dir, begin=count.frames)
+    announce(cfg, task.run_dir)
 
     progress = tqdm.tqdm(
-        total=cfg.collector.total_frames, initial=frames, unit="step", smoothing=0.05
+        total=cfg.collector.total_frames, initial=count.frames, unit="step", smoothing=0.05
     )
-    for batches, data in enumerate(collector, start=frames // cfg.collector.frames_per_batch):
-        collected, frames = frames, frames + data.numel()
+    for batches, data in enumerate(collector, start=count.frames // cfg.collector.frames_per_batch):
+        collected, frames = count.frames, count.frames + data.numel()
+        count.frames = frames
         progress.update(data.numel())
         # The critic starts from nothing: the actor waits until it has learned the values.
         trains_actor = batches >= cfg.optim.critic_batches
@@ -141,10 +151,6 @@ def main(cfg: DictConfig) -> None:
             with timeit("evaluate"):
                 result = evaluate_corners(cfg, task, averaged.module)
             log_metrics(loggers, result.metrics, frames)
-            # What goes on from the end has a schedule of its own.
-            next_begin = frames if last else begin
-            metadata = {"score": result.score, "frames": frames, "schedule": next_begin}
-            checkpoints.save(state, step=frames, metadata=metadata)
             save_training_policy(
                 task.run_dir / "policies" / f"{frames:09d}",
                 cfg,
@@ -162,6 +168,10 @@ def main(cfg: DictConfig) -> None:
                 goal_radius=cfg.env.goal_radius,
             )
             tqdm.tqdm.write(result.table(frames))
+            # What goes on from the end has a schedule of its own.
+            count.begin = frames if last else count.begin
+            with timeit("checkpoint"):
+                checkpoints.save(frames)
             progress.set_postfix(success=f"{result.success:.0f}%", score=f"{result.score:.2f}")
     progress.close()
     collector.shutdown()

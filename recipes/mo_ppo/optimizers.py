@@ -1,12 +1,9 @@
-"""Optimizers, the schedule of the learning rate, and where a run that was cut short goes on."""
+"""Optimizers and the schedule of the learning rate."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import torch
 from omegaconf import DictConfig
-from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.objectives import ClipPPOLoss
 
 
@@ -44,42 +41,3 @@ def make_schedule(
     return torch.optim.lr_scheduler.LambdaLR(
         optimizer, lambda step: 1 - 0.95 * min(1.0, step / updates), last_epoch=done - 1
     )
-
-
-def resume(cfg: DictConfig, state: Checkpoint) -> tuple[int, int]:
-    """Load the last checkpoint of the run that ``resume`` names, if it names one.
-
-    Args:
-        cfg: the configuration; what it changes holds from here on.
-        state: of what a checkpoint holds.
-
-    Returns:
-        How many frames it has seen, and after how many the schedule of the learning rate begins: see
-        :func:`make_schedule`.
-
-    Raises:
-        FileNotFoundError: if there is no checkpoint.
-        ValueError: if nothing is left to be done, or if the checkpoint does not say where it stands.
-    """
-    if cfg.resume is None:
-        return 0, 0
-    latest = CheckpointRotation(Path(cfg.resume) / "checkpoints", keep_last=1).latest()
-    if latest is None:
-        raise FileNotFoundError(
-            f"resume={cfg.resume} has no checkpoint: it must be the folder of a run of MO-PPO that "
-            "has been evaluated at least once."
-        )
-    metadata = Checkpoint.manifest(latest)["metadata"]
-    if missing := {"frames", "schedule"} - metadata.keys():
-        raise ValueError(
-            f"resume={cfg.resume}: its checkpoint lacks {sorted(missing)}, as those of earlier "
-            "versions do. Go on with the version that wrote it, or start anew."
-        )
-    frames = metadata["frames"]
-    if frames >= cfg.collector.total_frames:
-        raise ValueError(
-            f"resume={cfg.resume} has seen {frames} frames already: collector.total_frames must be "
-            f"greater, got {cfg.collector.total_frames}."
-        )
-    state.load(latest)
-    return frames, metadata["schedule"]

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import DictConfig
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from tensordict import TensorDict
@@ -245,3 +246,16 @@ class Checkpoints:
                 "configuration and the versions that wrote it, or start anew in another folder."
             ) from error
         return True
+
+
+def check_frames_left(cfg: DictConfig, frames: int) -> None:
+    """Refuse to go on with a training that is over, unless it is given more frames.
+
+    Raises:
+        ValueError: if nothing is left to be done.
+    """
+    if frames >= cfg.collector.total_frames:
+        raise ValueError(
+            f"resume={cfg.resume} has seen {frames} frames already: collector.total_frames must be "
+            f"greater, got {cfg.collector.total_frames}."
+        )

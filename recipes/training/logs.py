@@ -8,18 +8,42 @@ from typing import Any
 
 import tqdm
 from omegaconf import DictConfig
+from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 from torch import Tensor
 from torchrl._utils import timeit
-from torchrl.record.loggers import Logger, get_logger
+from torchrl.record.loggers import Logger, TensorboardLogger, get_logger
 
 from torchrl_morl.preferences import PreferenceSpace
 
+from .checkpoint import Counters
 
-def make_loggers(cfg: DictConfig, run_dir: Path) -> list[Logger]:
-    return [
+
+def make_loggers(cfg: DictConfig, run_dir: Path, *, begin: int = 0) -> list[Logger]:
+    """The loggers of the configuration; what they hold of later than ``begin`` steps comes again."""
+    forget_later_rows(run_dir / "log_csv", begin)
+    loggers = [
         get_logger(backend, logger_name=str(run_dir), experiment_name=f"log_{backend}")
         for backend in cfg.logger.backends
     ]
+    for logger in loggers:
+        if isinstance(logger, TensorboardLogger) and begin:
+            # As SummaryWriter(purge_step=...): readers drop what stands from that step on.
+            restart = SessionLog(status=SessionLog.START)
+            writer = logger.experiment._get_file_writer()
+            writer.add_event(Event(step=begin + 1, session_log=restart))
+    return loggers
+
+
+def forget_later_rows(folder: Path, last: int) -> None:
+    """Drop the rows of a CSV logger that are of later steps than the last one that counts."""
+    for file in folder.glob("scalars/**/*.csv"):
+        rows = file.read_text().splitlines(keepends=True)
+        # A killed process may have written half a row.
+        kept = [row for row in rows if row.endswith("\n") and float(row.split(",")[0]) <= last]
+        if len(kept) < len(rows):
+            partial = file.with_name(f".{file.name}")
+            partial.write_text("".join(kept))
+            partial.replace(file)
 
 
 def log_metrics(loggers: list[Logger], metrics: dict[str, Any], frames: int) -> None:
@@ -45,15 +69,15 @@ def log_training(
     log_metrics(loggers, flat, frames)
 
 
-def progress_line(
-    progress: tqdm.tqdm, updates: int, success: float, score: float
-) -> dict[str, str]:
+def progress_line(progress: tqdm.tqdm, count: Counters) -> dict[str, str]:
     """Beside steps/s and the time left, which the bar itself shows."""
-    elapsed = progress.format_dict["elapsed"]
+    bar = progress.format_dict
+    # A resumed training has made some of its updates in another process.
+    share = (bar["n"] - bar["initial"]) / max(bar["n"], 1)
     return {
-        "updates/s": f"{updates / max(elapsed, 1e-9):.1f}",
-        "success": f"{success:.0f}%",
-        "score": f"{score:.2f}",
+        "updates/s": f"{share * count.updates / max(bar['elapsed'], 1e-9):.1f}",
+        "success": f"{count.success:.0f}%",
+        "score": f"{count.score:.2f}",
     }
 
 

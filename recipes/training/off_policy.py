@@ -13,11 +13,11 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 from torchrl._utils import timeit
-from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 
 from . import logs
+from .checkpoint import BufferState, Checkpoints, CollectorState, Counters, check_frames_left
 from .corners import CornerResult, evaluate_corners
 from .pictures import trajectories_picture
 from .policies import finish, save_training_policy
@@ -62,9 +62,6 @@ def train(
         raise ValueError(
             f"optim.updates_per_batch must be at least 1, got {cfg.optim.updates_per_batch}."
         )
-    write_run_info(task.run_dir)
-    loggers = logs.make_loggers(cfg, task.run_dir)
-    logs.announce(cfg, task.run_dir)
     collector = Collector(
         task.env,
         policy,
@@ -75,17 +72,29 @@ def train(
         storing_device=task.device,
         auto_register_policy_transforms=False,
     )
-    checkpoints = CheckpointRotation(
-        task.run_dir / "checkpoints", keep_last=1, keep_best=("score", "max")
-    )
     anneal = getattr(policy[-1], "step", None)
-    frames = updates = 0
-    score = success = float("nan")
-    progress = tqdm.tqdm(total=cfg.collector.total_frames, unit="step", smoothing=0.05)
+    count = Counters(frames=0, updates=0, score=float("nan"), success=float("nan"))
+    checkpoints = Checkpoints(
+        task.run_dir,
+        **state,
+        replay_buffer=BufferState(replay_buffer),
+        collector=CollectorState(collector, policy),
+        count=count,
+    )
+    if cfg.resume is not None:
+        checkpoints.load()
+        check_frames_left(cfg, count.frames)
+    write_run_info(task.run_dir)
+    loggers = logs.make_loggers(cfg, task.run_dir, begin=count.frames)
+    logs.announce(cfg, task.run_dir)
+    progress = tqdm.tqdm(
+        total=cfg.collector.total_frames, initial=count.frames, unit="step", smoothing=0.05
+    )
     for data in collector:
         with timeit("extend"):
             replay_buffer.extend(data.reshape(-1).select(*TRANSITION))
-        collected, frames = frames, frames + data.numel()
+        collected, frames = count.frames, count.frames + data.numel()
+        count.frames = frames
         if anneal is not None:
             anneal(data.numel())
         progress.update(data.numel())
@@ -95,8 +104,8 @@ def train(
             with timeit("sample"):
                 sample = replay_buffer.sample()
             for batch in sample.split(cfg.replay_buffer.batch_size):
-                updates += 1
-                info = update(batch, updates, frames)
+                count.updates += 1
+                info = update(batch, count.updates, frames)
                 metrics |= {name: value.detach() for name, value in info.items()}
             for scheduler in schedulers.values():
                 scheduler.step()
@@ -104,18 +113,17 @@ def train(
                 after_updates(frames)
 
         if metrics and logs.crossed(cfg.logger.interval, collected, frames):
-            logs.log_training(loggers, metrics, task.preference_space, frames, updates)
-            progress.set_postfix(logs.progress_line(progress, updates, success, score))
+            logs.log_training(loggers, metrics, task.preference_space, frames, count.updates)
+            progress.set_postfix(logs.progress_line(progress, count))
 
         last = frames >= cfg.collector.total_frames
-        if updates and (last or logs.crossed(cfg.evaluation.interval, collected, frames)):
+        if count.updates and (last or logs.crossed(cfg.evaluation.interval, collected, frames)):
             with timeit("evaluate"):
                 result = evaluate_corners(cfg, task, averaged.module)
             if after_evaluation is not None:
                 after_evaluation(result)
-            score, success = result.score, result.success
+            count.score, count.success = result.score, result.success
             logs.log_metrics(loggers, result.metrics, frames)
-            checkpoints.save(Checkpoint(**state), step=frames, metadata={"score": score})
             folder = task.run_dir / "policies" / f"{frames:09d}"
             save_training_policy(folder, cfg, averaged.module, task, result)
             trajectories_picture(
@@ -126,8 +134,11 @@ def train(
                 goal_radius=cfg.env.goal_radius,
             )
             tqdm.tqdm.write(result.table(frames))
+            # Last, so that it is of a whole step; and after the small policy, if the disk is full.
+            with timeit("checkpoint"):
+                checkpoints.save(frames)
     progress.close()
     collector.shutdown()
     print(logs.time_shares())
-    logs.warn_if_failing(success)
+    logs.warn_if_failing(count.success)
     finish(task.run_dir, cfg)

@@ -26,7 +26,12 @@ def save_training_policy(
     result: CornerResult,
     **facts: Any,
 ) -> None:
-    """Save a policy whose card tells what made it, how it did, and other ``facts``."""
+    """Save a policy whose card tells what made it, how it did, and other ``facts``.
+
+    One that is there stays: a training that was killed before its checkpoint makes the same once more.
+    """
+    if folder.exists():
+        return
     card = {
         **task.facts,
         **facts,

@@ -58,7 +58,8 @@ def make_task(cfg: DictConfig) -> Task:
     torch.set_num_threads(cfg.compute.torch_threads)
     torch.manual_seed(cfg.seed)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
-    check_run_dir(run_dir)
+    if cfg.get("resume") is None:
+        check_run_dir(run_dir)
     if not 0 < cfg.loss.gamma <= 1:
         raise ValueError(f"loss.gamma must be in (0, 1], got {cfg.loss.gamma}.")
     device = torch.device(cfg.device)
