@@ -15,6 +15,7 @@ from torch.nn import functional as F
 from torchrl.objectives import BCLoss
 
 from envs.policy_env import observation_size
+from recipes.training.checkpoint import Checkpoints, Counters
 from recipes.training.task import make_preference_space
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.modules import make_actor
@@ -23,22 +24,45 @@ from .cards import metadata
 from .rollouts import ACTION_SPEC
 
 
-def clone_behaviour(
-    cfg: DictConfig, demonstrations: TensorDictBase
-) -> tuple[TensorDictSequential, float]:
-    """Behaviour cloning with early stopping on held-out trajectories.
-
-    Returns:
-        The best policy and its loss. A single demonstration leaves nothing to hold out: then the
-        loss is that of the training.
-    """
-    generator = torch.Generator().manual_seed(cfg.seed)
-    policy = make_actor(
+def make_clone(cfg: DictConfig) -> TensorDictSequential:
+    """A policy of the observation alone, as it is before it has learned anything."""
+    return make_actor(
         ACTION_SPEC,
         in_features=observation_size(cfg.env),
         in_keys=("observation",),
         num_cells=cfg.cloning.num_cells,
     )
+
+
+def clone_behaviour(
+    cfg: DictConfig, demonstrations: TensorDictBase, checkpoints: Path | None = None
+) -> tuple[TensorDictSequential, float]:
+    """Behaviour cloning with early stopping on held-out trajectories.
+
+    Args:
+        cfg: of the recipe; with ``resume`` a clone that was finished is taken from its checkpoint.
+        demonstrations: ``[N, T]``.
+        checkpoints: folder for that; ``None`` keeps none.
+
+    Returns:
+        The best policy and its loss. A single demonstration leaves nothing to hold out: then the
+        loss is that of the training.
+    """
+    policy, cloning = make_clone(cfg), Counters(loss=float("nan"))
+    finished = None
+    if checkpoints is not None:
+        finished = Checkpoints(checkpoints, policy=policy, cloning=cloning)
+        if cfg.resume is not None and finished.load():
+            return policy.requires_grad_(False), cloning.loss
+    cloning.loss = _clone(cfg, policy, demonstrations)
+    if finished is not None:
+        finished.save(cfg.cloning.updates)
+    return policy.requires_grad_(False), cloning.loss
+
+
+def _clone(cfg: DictConfig, policy: TensorDictSequential, demonstrations: TensorDictBase) -> float:
+    """Train the policy; returns its loss."""
+    generator = torch.Generator().manual_seed(cfg.seed)
     loss = BCLoss(policy, loss_function="l2")
     optimizer = torch.optim.Adam(loss.parameters(), lr=cfg.cloning.lr)
     order = torch.randperm(len(demonstrations), generator=generator)
@@ -71,7 +95,7 @@ def clone_behaviour(
                 if waited >= cfg.cloning.patience:
                     break
     best_state.to_module(policy)
-    return policy.requires_grad_(False), best
+    return best
 
 
 def save_clone(

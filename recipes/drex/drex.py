@@ -16,7 +16,8 @@ from omegaconf import DictConfig
 from torchrl._utils import timeit
 
 from recipes.training.gradients import use_bfloat16
-from torchrl_morl.data import save_demonstrations
+from recipes.training.logs import time_shares
+from torchrl_morl.data import load_demonstrations, save_demonstrations
 
 from . import ranking, styles
 from .cards import metadata
@@ -37,12 +38,21 @@ def main(cfg: DictConfig) -> None:
     torch.set_num_threads(cfg.torch_threads)
     torch.manual_seed(cfg.seed)
     run_dir = Path(HydraConfig.get().runtime.output_dir)
+    checkpoints = run_dir / "checkpoints"
+    if (run_dir / "reward_model").exists():
+        raise FileExistsError(
+            f"{run_dir / 'reward_model'} exists and is not overwritten: choose another hydra.run.dir."
+        )
 
     with timeit("demonstrations"):
-        demonstrations = collect_demonstrations(cfg) if recorded is None else recorded
-        save_demonstrations(run_dir / "demonstrations.safetensors", demonstrations, metadata(cfg))
+        dataset = run_dir / "demonstrations.safetensors"
+        if cfg.resume is not None and dataset.exists():
+            demonstrations, _ = load_demonstrations(dataset)
+        else:
+            demonstrations = collect_demonstrations(cfg) if recorded is None else recorded
+            save_demonstrations(dataset, demonstrations, metadata(cfg))
     with timeit("behaviour cloning"):
-        policy, cloning_loss = clone_behaviour(cfg, demonstrations)
+        policy, cloning_loss = clone_behaviour(cfg, demonstrations, checkpoints / "cloning")
     with timeit("noisy rollouts"):
         # The demonstrations stand beside the clone without noise: neither is better.
         noisy = [(0.0, demonstrations), *noisy_rollouts(cfg, policy)]
@@ -51,13 +61,18 @@ def main(cfg: DictConfig) -> None:
         others = styles.other_styles(cfg, recorded) if cfg.style_negatives.rollouts else []
     with timeit("reward model"):
         snippets = ranking.ranked_snippets(cfg, noisy, others)
-        model, scores = ranking.train_reward_model(cfg, snippets, bfloat16=bfloat16)
+        model, scores = ranking.train_reward_model(
+            cfg, snippets, bfloat16=bfloat16, checkpoints=checkpoints / "reward_model"
+        )
     with timeit("diagnostics"):
         report = write_report(run_dir, cfg, model, noisy, scores)
     card = {"bfloat16": bfloat16, "behaviour_cloning_loss": cloning_loss, **scores, **report}
+    if not (run_dir / "behaviour_clone").exists():
+        facts = {"behaviour_cloning_loss": cloning_loss}
+        save_clone(run_dir / "behaviour_clone", cfg, policy, facts)
+    # Last: a run with a reward model is over.
     ranking.save_model(run_dir / "reward_model", cfg, model, card)
-    save_clone(run_dir / "behaviour_clone", cfg, policy, {"behaviour_cloning_loss": cloning_loss})
-    timeit.print()
+    print(time_shares())
     print(f"reward model, report and behaviour clone: {run_dir}")
 
 

@@ -13,6 +13,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from envs.policy_env import observation_size, observed
+from recipes.training.checkpoint import Checkpoints, Counters, GeneratorStates
 from torchrl_morl.data import RankedSnippets
 from torchrl_morl.deploy import save_reward_model
 from torchrl_morl.deploy.features import PARTS, observation_parts
@@ -21,6 +22,9 @@ from torchrl_morl.objectives import BradleyTerryLoss
 
 from .cards import metadata
 from .rollouts import ACTION_SPEC
+
+CHECKPOINT_INTERVAL = 500
+"""Updates of the reward model."""
 
 
 def hidden_entries(cfg: DictConfig) -> list[int]:
@@ -82,9 +86,22 @@ def ranked_snippets(
 
 
 def train_reward_model(
-    cfg: DictConfig, snippets: list[RankedSnippets], *, bfloat16: bool = False
+    cfg: DictConfig,
+    snippets: list[RankedSnippets],
+    *,
+    bfloat16: bool = False,
+    checkpoints: Path | None = None,
 ) -> tuple[RewardModel, dict[str, Any]]:
-    """Bradley-Terry on ranked snippets; every source of pairs has the same share of a batch."""
+    """Bradley-Terry on ranked snippets; every source of pairs has the same share of a batch.
+
+    Args:
+        cfg: of the recipe; with ``resume`` it goes on from its last checkpoint.
+        snippets: sources of pairs.
+
+    Keyword Args:
+        bfloat16: whether updates compute in it.
+        checkpoints: folder for those; ``None`` keeps none.
+    """
     section, hidden = cfg.reward_model, hidden_entries(cfg)
     train, held_out = zip(*(source.split(section.held_out) for source in snippets), strict=True)
     model = make_reward_model(cfg)
@@ -94,8 +111,17 @@ def train_reward_model(
     )
     precision = torch.autocast("cpu", torch.bfloat16, enabled=bfloat16)
     share = section.batch_size // len(snippets)
-    with tqdm.tqdm(total=section.updates, desc="reward model", unit="update") as progress:
-        for update in range(1, section.updates + 1):
+    count, kept = Counters(updates=0), None
+    if checkpoints is not None:
+        sources = GeneratorStates(*(source.generator for source in (*train, *held_out)))
+        kept = Checkpoints(
+            checkpoints, loss=loss, optimizer=optimizer, sources=sources, count=count
+        )
+        if cfg.resume is not None:
+            kept.load()
+    bar = {"total": section.updates, "initial": count.updates}
+    with tqdm.tqdm(desc="reward model", unit="update", **bar) as progress:
+        for update in range(count.updates + 1, section.updates + 1):
             pairs = torch.cat([source.sample(share) for source in train])
             for side in ("preferred", "other"):
                 # Weights behind zeros have no gradient: those that are zero stay so.
@@ -108,6 +134,9 @@ def train_reward_model(
             progress.update()
             if update % 100 == 0:
                 progress.set_postfix(accuracy=f"{out['accuracy'].item():.2f}")
+            count.updates = update
+            if kept is not None and update % CHECKPOINT_INTERVAL == 0:
+                kept.save(update)
     scores = held_out_accuracy(loss, held_out)
     loss.reward_network_params.data.to_module(model)
     return model.requires_grad_(False), scores

@@ -81,7 +81,7 @@ def main(cfg: DictConfig) -> None:
     # The learning rate falls from frame `begin` on: 0, unless a training that was over goes on.
     count = Counters(frames=0, begin=0)
     checkpoints = Checkpoints(
-        task.run_dir,
+        task.run_dir / "checkpoints",
         loss=loss,
         advantage=advantage,
         averaged=averaged,

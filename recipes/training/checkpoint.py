@@ -30,9 +30,6 @@ from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.envs import Transform, TransformedEnv
 
-FOLDER = "checkpoints"
-"""In the run folder."""
-
 
 class SafeStateAdapter(CheckpointAdapter):
     """State dicts as safetensors and JSON, whatever is nested in them; nothing else is ever read.
@@ -203,25 +200,41 @@ class Counters:
         self.__dict__.update(state)
 
 
+class GeneratorStates:
+    """Generators of their own, beside those of the process."""
+
+    def __init__(self, *generators: torch.Generator) -> None:
+        self.generators = generators
+
+    def state_dict(self) -> dict[str, list[Tensor]]:
+        """Their states, in order."""
+        return {"states": [generator.get_state() for generator in self.generators]}
+
+    def load_state_dict(self, state: Mapping[str, list[Tensor]]) -> None:
+        """Take them over."""
+        for generator, saved in zip(self.generators, state["states"], strict=True):
+            generator.set_state(saved)
+
+
 class Checkpoints:
-    """The last checkpoint of a run.
+    """The last checkpoint of a run, or of a part of it.
 
     Args:
-        run_dir: of the training.
+        folder: that holds it, in the run folder.
         components: what it holds, by name: anything with ``state_dict`` and ``load_state_dict``. The
             generators of the process are added.
     """
 
-    def __init__(self, run_dir: Path, **components: Any) -> None:
-        self.folder = run_dir / FOLDER
+    def __init__(self, folder: Path, **components: Any) -> None:
+        self.folder = folder
         self.rotation = CheckpointRotation(self.folder, keep_last=1)
         self.checkpoint = Checkpoint()
         for name, component in {**components, "generators": GlobalRNGState()}.items():
             self.checkpoint.register(name, component, adapter=SafeStateAdapter())
 
-    def save(self, frames: int) -> None:
-        """Replace the last checkpoint."""
-        self.rotation.save(self.checkpoint, step=frames)
+    def save(self, step: int) -> None:
+        """Replace the last checkpoint by one after so many frames, or updates."""
+        self.rotation.save(self.checkpoint, step=step)
 
     def load(self) -> bool:
         """Load the last one, if there is one.

@@ -75,7 +75,7 @@ def train(
     anneal = getattr(policy[-1], "step", None)
     count = Counters(frames=0, updates=0, score=float("nan"), success=float("nan"))
     checkpoints = Checkpoints(
-        task.run_dir,
+        task.run_dir / "checkpoints",
         **state,
         replay_buffer=BufferState(replay_buffer),
         collector=CollectorState(collector, policy),
