@@ -9,7 +9,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from envs import NavigationEnv
-from examples import doorway, my_robot
+from examples import doorway, my_robot, objective, preferences, record_drives
 
 
 def _arrived(printed: str) -> list[int]:
@@ -27,6 +27,28 @@ def test_my_robot(capsys):
     assert re.match(r"my_robot: \d+ of its 541 beams meet something", printed)
     # The policy was trained with a smaller and slower one.
     assert sum(_arrived(printed)) >= 14
+
+
+def test_an_objective(capsys):
+    objective.main()
+    printed = capsys.readouterr().out
+    assert [line.split(":")[0].strip() for line in printed.splitlines()] == [
+        "core",
+        "distance",
+        "ahead",
+    ]
+
+
+def test_preferences_in_a_foreign_environment(capsys):
+    preferences.main()
+    assert "kept through the episode: [0.2, 0.8]" in capsys.readouterr().out
+
+
+def test_the_shipped_drives_are_what_their_script_records(tmp_path):
+    file = tmp_path / "drives.csv"
+    record_drives.main(str(file))
+    shipped = Path(record_drives.__file__).with_name("drives_right.csv")
+    assert file.read_text() == shipped.read_text()
 
 
 PAGES = Path(doorway.__file__).parents[1] / "docs" / "how_to"
