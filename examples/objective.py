@@ -17,20 +17,22 @@ def ahead(task: envs.objectives.Task, before: np.ndarray) -> np.ndarray:
     return task.rewards.style_penalty * np.clip(1 - nearer / 0.1, 0.0, 1.0)
 
 
-envs.objectives.OBJECTIVES["ahead"] = ahead
-recipes.objectives.OBJECTIVES["ahead"] = Objective(
-    name="ahead",
-    label="straight ahead",
-    color="#6c757d",
-    metric="path_length",
-    metric_label="length of the path / m",
-    sign=-1,
-    column="time",
-    goodness=lambda values: values("direct_distance") / values("path_length"),
-)
+def declare() -> None:
+    envs.objectives.OBJECTIVES["ahead"] = ahead
+    recipes.objectives.OBJECTIVES["ahead"] = Objective(
+        name="ahead",
+        label="straight ahead",
+        color="#6c757d",
+        metric="path_length",
+        metric_label="length of the path / m",
+        sign=-1,
+        column="time",
+        goodness=lambda values: values("direct_distance") / values("path_length"),
+    )
 
 
 def main() -> None:
+    declare()
     env = NavigationEnv(objectives=("core", "distance", "ahead"), num_envs=4, seed=0)
     rollout = env.rollout(20)
     for name, values in zip(env.objectives, rollout["next", "reward"].unbind(-1)):
@@ -39,6 +41,7 @@ def main() -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:]:  # python -m examples.objective preset=quick
+        declare()
         sys.argv.append("env.objectives=[core,distance,ahead]")
         recipes.pd_morl.pd_morl.main()
     else:

@@ -76,7 +76,7 @@ def test_goes_on_bit_by_bit(kind, snapshots, tmp_path):
 
 def test_the_state_of_another_environment_is_refused():
     small, large = (NavigationEnv(num_envs=n, seed=0, num_threads=1) for n in (2, 3))
-    with pytest.raises(ValueError, match="of 2 simulations .* here they are 3"):
+    with pytest.raises(ValueError, match=r"of 2 simulations .* here they are 3"):
         large.load_simulation_state(small.simulation_state())
 
 
