@@ -150,12 +150,21 @@ def test_rate_over_independent_episodes_has_as_many_trials_as_episodes():
     assert interval.high - interval.low == pytest.approx(wilson.high - wilson.low, rel=0.1)
 
 
-def test_rate_of_one_and_undefined_episodes():
-    perfect = cluster_rate_interval(np.ones((10, 3)))
-    assert perfect == wilson_interval(30, 30)
-    some = np.ones((10, 3))
+def test_rate_of_one_counts_scenes():
+    """Nothing tells scenes from episodes where all agree: ten scenes are ten trials, not thirty."""
+    ten = wilson_interval(10, 10)
+    perfect, some = cluster_rate_interval(np.ones((10, 3))), np.ones((10, 3))
+    assert (perfect.estimate, perfect.low, perfect.high, perfect.n) == (1, ten.low, ten.high, 30)
+    none = cluster_rate_interval(np.zeros((10, 3)))
+    assert none.high == pytest.approx(1 - ten.low)
     some[0, 1:] = NAN
-    assert cluster_rate_interval(some) == wilson_interval(28, 28)
+    undefined = cluster_rate_interval(some)
+    assert (undefined.low, undefined.n) == (ten.low, 28)
+    some[1] = NAN
+    assert cluster_rate_interval(some).low == wilson_interval(9, 9).low
+
+
+def test_rates_of_what_is_no_outcome_are_refused():
     with pytest.raises(ValueError, match="0 and 1"):
         cluster_rate_interval(np.full((2, 2), 0.5))
     with pytest.raises(ValueError, match=r"\[clusters, episodes\]"):

@@ -170,8 +170,9 @@ def cluster_rate_interval(outcomes: ArrayLike, *, confidence: float = 0.95) -> I
 
     Wilson's interval with the effective number of episodes: ``n`` divided by the design effect, the
     variance of the rate over clusters by that of as many independent episodes (Korn and
-    Graubard, Survey Methodology 24, 1998, there with another interval). At most ``n``, which it
-    also is at rates of 0 and 1, where nothing tells clusters from episodes.
+    Graubard, Survey Methodology 24, 1998, there with another interval). At most ``n``. At rates of 0 and
+    1 no variance is left to tell by: then clusters count, once each, since the episodes of a scene may
+    all have agreed because of the scene.
 
     Args:
         outcomes: 0, 1 or NaN, ``[clusters, episodes]``: one row a scene, with all its
@@ -192,6 +193,12 @@ def cluster_rate_interval(outcomes: ArrayLike, *, confidence: float = 0.95) -> I
         >>> interval = cluster_rate_interval([[1] * 33] * 15 + [[0] * 33] * 5)
         >>> interval.n, round(interval.low, 2), round(wilson_interval(495, 660).low, 2)
         (660, 0.53, 0.72)
+
+        A hundred scenes without a failure: a hundred trials, not 3,300.
+
+        >>> interval = cluster_rate_interval([[1] * 33] * 100)
+        >>> interval.n, round(interval.low, 3)
+        (3300, 0.963)
     """
     table = finite(outcomes)
     if table.ndim != 2:
@@ -206,7 +213,7 @@ def cluster_rate_interval(outcomes: ArrayLike, *, confidence: float = 0.95) -> I
     # Of the ratio of two sums over clusters, as clusters may differ in size.
     residuals = np.where(defined, table - rate, 0.0).sum(1)
     clusters = int(defined.any(1).sum())
-    effective = float(n)
+    effective = float(n) if 0 < rate < 1 else float(clusters)
     if 0 < rate < 1 and clusters > 1:
         variance = clusters / (clusters - 1) * float((residuals**2).sum()) / n**2
         if variance > 0:
