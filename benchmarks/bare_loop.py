@@ -1,6 +1,6 @@
 """The update of ``recipes.pd_morl`` by hand: the ceiling that a library can be held against.
 
-The same maths to rounding (``tests/test_benchmarks_learner.py``), and nothing else: no TorchRL, no
+The same maths to rounding (``tests/benchmarks/test_learner.py``), and nothing else: no TorchRL, no
 TensorDict, no metadata for a log. Transitions lie in one matrix, so that a batch is one look-up.
 """
 

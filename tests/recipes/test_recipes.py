@@ -23,7 +23,7 @@ from torchrl_morl.deploy import load_policy, save_policy
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import make_actor
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 SPACE = PreferenceSpace(NavigationEnv.objectives, static={"core": 1.0})
 CORNERS = (*SPACE.tunable, "balanced")
 TINY = (

@@ -13,7 +13,7 @@ from recipes.sweep import observed_by
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.transforms import PreferenceSampler
 
-FOLDERS = sorted((Path(__file__).resolve().parent.parent / "recipes" / "policies").iterdir())
+FOLDERS = sorted((Path(__file__).resolve().parents[2] / "recipes" / "policies").iterdir())
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)

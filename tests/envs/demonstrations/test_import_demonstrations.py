@@ -25,7 +25,7 @@ from torchrl_morl.data import load_demonstrations
 from torchrl_morl.evaluation import episode_mask
 from torchrl_morl.geometry import wrap_angle
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[3]
 HEADER = ("trajectory", "time", "x", "y", "heading", *COLUMNS[3:])
 
 

@@ -39,7 +39,7 @@ from benchmarks.peers_environment import (
 )
 from envs import NavigationEnv
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 NUM_RAYS = 720
 
 
