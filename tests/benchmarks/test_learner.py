@@ -10,14 +10,9 @@ import torch
 from benchmarks.bare_loop import BareLoop
 from benchmarks.floor import MatrixRate, flops
 from benchmarks.learner import available, main, ratio
-from benchmarks.learner_systems import (
-    EQUAL_WORK,
-    SYSTEMS,
-    UPDATES,
-    Ours,
-    config,
-    transitions,
-)
+from benchmarks.learner_systems import SYSTEMS
+from benchmarks.ours import Ours
+from benchmarks.workload import EQUAL_WORK, UPDATES, config, transitions
 
 SMALL = ("network.num_cells=[32,32]", "replay_buffer.batch_size=64", "replay_buffer.size=200")
 
@@ -35,7 +30,7 @@ def _pair(data, *overrides):
 
 
 def _same_batch(ours, bare):
-    batch = ours.replay_buffer.sample()
+    batch = ours.replay_buffer.sample(ours.cfg.replay_buffer.batch_size)
     ours.batch = batch
     bare.batch = (
         batch["observation"],

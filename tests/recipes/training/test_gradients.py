@@ -7,19 +7,19 @@ import sys
 import pytest
 import torch
 
-from benchmarks.learner_systems import config, transitions
-from recipes.pd_morl import learning, utils
+from benchmarks.workload import config, make_task, transitions
+from recipes.training import gradients
+from recipes.training.agent import make_actor
+from recipes.training.loss import make_loss
 
 
-def make_loss(*overrides: str):
+def small_loss(*overrides: str):
     """The loss of the recipe, and its configuration."""
     small = ("network.num_cells=[8]", "env.num_envs=4", "compute.compile=true")
     cfg = config(*small, *overrides)
-    preference_space = utils.make_preference_space(with_demonstrations=True)
-    env = utils.make_train_env(cfg, utils.make_preference_space(False), None)
-    actor, _ = utils.make_policy(cfg, env, preference_space, torch.device("cpu"))
-    loss = utils.make_loss(cfg, env, preference_space, actor, torch.device("cpu"))
-    env.close()
+    task = make_task(cfg)
+    loss = make_loss(cfg, task, make_actor(cfg, task))
+    task.env.close()
     return cfg, loss
 
 
@@ -27,15 +27,15 @@ def test_without_a_compiler_the_training_says_so(monkeypatch):
     monkeypatch.setenv("CXX", "no-such-compiler")
     monkeypatch.setattr(torch, "compile", None)
     with pytest.warns(UserWarning, match="no-such-compiler is not installed"):
-        gradients = learning.make_gradients(*make_loss())
-    assert len(gradients) == 2
+        functions = gradients.make_gradients(*small_loss())
+    assert len(functions) == 2
 
 
 def test_compiled_as_asked_for(monkeypatch):
     asked = []
     monkeypatch.setattr(torch, "compile", lambda function, **options: asked.append(options))
     monkeypatch.setenv("CXX", sys.executable)
-    learning.make_gradients(*make_loss("compute.compile_mode=reduce-overhead"))
+    gradients.make_gradients(*small_loss("compute.compile_mode=reduce-overhead"))
     assert [call["options"]["triton.cudagraphs"] for call in asked] == [True] * 2
     assert all(call["fullgraph"] for call in asked)
 
@@ -43,7 +43,7 @@ def test_compiled_as_asked_for(monkeypatch):
 def test_an_unknown_mode_is_refused(monkeypatch):
     monkeypatch.setenv("CXX", sys.executable)
     with pytest.raises(RuntimeError, match=r"fastest.*reduce-overhead"):
-        learning.make_gradients(*make_loss("compute.compile_mode=fastest"))
+        gradients.make_gradients(*small_loss("compute.compile_mode=fastest"))
 
 
 @pytest.fixture
@@ -69,15 +69,15 @@ def eager_backend(monkeypatch) -> list[int]:
 def test_what_is_checked_at_every_update(eager_backend, monkeypatch):
     """Not the modules, thousands of checks; but the tensors, and the number of threads."""
     kept = []
-    choose = learning._guards
+    choose = gradients._guards
 
     def counting(guards):
         chosen = choose(guards)
         kept.append(sum(chosen))
         return chosen
 
-    monkeypatch.setattr(learning, "_guards", counting)
-    run, _ = learning.make_gradients(*make_loss())
+    monkeypatch.setattr(gradients, "_guards", counting)
+    run, _ = gradients.make_gradients(*small_loss())
     for size in (16, 16, 8):
         run(transitions(1000)[:size])
     assert len(eager_backend) == 2, "one graph of each size"
@@ -97,8 +97,8 @@ def test_gradients_are_those_of_the_loss(network, compiled, request):
     """Of this batch alone, clipped, and of one network alone; twice, since gradients add up."""
     if compiled:
         request.getfixturevalue("eager_backend")
-    cfg, loss = make_loss("optim.max_grad_norm=0.05", f"compute.compile={compiled}".lower())
-    run = dict(zip(("qvalue", "actor"), learning.make_gradients(cfg, loss), strict=True))[network]
+    cfg, loss = small_loss("optim.max_grad_norm=0.05", f"compute.compile={compiled}".lower())
+    run = dict(zip(("qvalue", "actor"), gradients.make_gradients(cfg, loss), strict=True))[network]
     other = "actor" if network == "qvalue" else "qvalue"
     networks = {
         name: [
