@@ -17,11 +17,15 @@ from envs.demonstrations import CircleDemonstrator
 from envs.policy_env import make_policy_env, observation_size
 from envs.straight_drive import StraightDriveValue
 from recipes.drex import drex, ranking, report
-from recipes.drex import utils as drex_utils
+from recipes.drex.cloning import clone_behaviour, save_clone
+from recipes.evaluation.sweep import observed_by, sweep
 from recipes.pd_morl import pd_morl
-from recipes.pd_morl import utils as pd_morl_utils
-from recipes.sweep import observed_by, sweep
+from recipes.training.agent import make_actor
+from recipes.training.loss import make_loss
+from recipes.training.replay import make_replay_buffer, prefill
+from recipes.training.task import make_preference_space, make_train_env
 from tests._drex import TINY, config
+from tests._task import make_task
 from torchrl_morl import PreferenceSegments
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.deploy import load_policy, load_reward_model
@@ -166,7 +170,7 @@ def test_both_ablations_from_demonstrations_to_an_evaluated_policy(tmp_path, mon
     assert not list((tmp_path / "refused").iterdir())
     other = config("pd_morl", (f"demonstrations.dataset={dataset}",))
     with pytest.raises(ValueError, match=r"demonstrations\.safetensors is about observations"):
-        pd_morl_utils.prefill(other, None, preference_space, model)
+        prefill(other, make_task(preference_space, reward_model=model), None)
 
 
 def test_the_saved_clone_does_what_the_clone_does_under_every_preference(tmp_path):
@@ -177,8 +181,8 @@ def test_the_saved_clone_does_what_the_clone_does_under_every_preference(tmp_pat
         mask=torch.ones(4, 10, dtype=torch.bool),
         batch_size=[4, 10],
     )
-    clone, _ = drex_utils.clone_behaviour(cfg, data)
-    drex_utils.save_clone(tmp_path, cfg, clone, {"note": 1})
+    clone, _ = clone_behaviour(cfg, data)
+    save_clone(tmp_path, cfg, clone, {"note": 1})
     actor, preference_space, card = load_policy(tmp_path)
     assert card["note"] == 1
     expected = clone(data.select("observation"))["action"]
@@ -270,10 +274,8 @@ def test_ingredient_of_pd_morl_trains(name, tmp_path):
 
 def loss_of(*overrides: str) -> MOTD3Loss:
     cfg = config("pd_morl", (*TRAINING, *overrides))
-    preference_space = pd_morl_utils.make_preference_space(with_demonstrations=False)
-    env = pd_morl_utils.make_eval_env(cfg, preference_space, None)
-    actor, _ = pd_morl_utils.make_policy(cfg, env, preference_space, torch.device("cpu"))
-    return pd_morl_utils.make_loss(cfg, env, preference_space, actor, torch.device("cpu"))
+    task = make_task(make_preference_space(with_demonstrations=False))
+    return make_loss(cfg, task, make_actor(cfg, task))
 
 
 def test_critics_add_what_straight_driving_is_worth():
@@ -323,17 +325,17 @@ def test_angle_off_needs_coefficients_of_zero(tmp_path):
 
 
 def test_segments_and_relabelling_follow_their_overrides():
-    preference_space = pd_morl_utils.make_preference_space(with_demonstrations=True)
+    preference_space = make_preference_space(with_demonstrations=True)
     thirds = torch.arange(30) % 3
     for count, kept in ((3, True), (1, False)):
         cfg = config("pd_morl", (f"preference.num_segments={count}", "env.num_envs=30"))
-        drawn = pd_morl_utils.make_train_env(cfg, preference_space, None).reset()["preference"]
+        drawn = make_train_env(cfg, preference_space, None).reset()["preference"]
         assert torch.equal(PreferenceSegments(preference_space, 3).index(drawn), thirds) == kept
     preference = preference_space.sample(4)
     given = {tuple(row) for row in preference.tolist()}
     for ratio in (0, 1):
         cfg = config("pd_morl", (f"preference.relabel_ratio={ratio}",))
-        buffer = pd_morl_utils.make_replay_buffer(cfg, preference_space, torch.device("cpu"))
+        buffer = make_replay_buffer(cfg, make_task(preference_space))
         later = TensorDict(preference=preference, reward=torch.ones(4, 4), batch_size=4)
         buffer.extend(TensorDict(preference=preference, next=later, batch_size=4).clone())
         sampled = {tuple(row) for row in buffer.sample()["preference"].tolist()}

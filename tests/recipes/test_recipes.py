@@ -16,7 +16,7 @@ from torchrl.data import Bounded
 
 import recipes.evaluate
 from envs import NavigationEnv
-from recipes.pd_morl.learning import use_bfloat16
+from recipes.training.gradients import use_bfloat16
 from tests._command import run
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_policy

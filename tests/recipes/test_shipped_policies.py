@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from envs.policy_env import make_policy_env
-from recipes.sweep import observed_by
+from recipes.evaluation.sweep import observed_by
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.transforms import PreferenceSampler
 

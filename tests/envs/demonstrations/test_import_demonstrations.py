@@ -20,7 +20,7 @@ from envs.demonstrations.feasibility import Tolerances, check, heading_from_moti
 from envs.demonstrations.importer import import_demonstrations, replay
 from envs.demonstrations.recordings import BOX_COLUMNS, COLUMNS, Recording
 from envs.policy_env import make_policy_env
-from recipes.drex.utils import rollouts
+from recipes.drex.rollouts import rollouts
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.evaluation import episode_mask
 from torchrl_morl.geometry import wrap_angle

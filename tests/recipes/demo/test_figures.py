@@ -5,12 +5,12 @@ from __future__ import annotations
 import imageio.v2 as imageio
 import pytest
 
-import recipes.figures
 from envs.demonstrations import CircleDemonstrator
-from recipes.figures import Row, sweep_figure, switch_figure
-from recipes.film import film
-from recipes.sweep import edge, sweep
-from recipes.switch import switch
+from recipes.demo import figures
+from recipes.demo.figures import Row, sweep_figure, switch_figure
+from recipes.demo.film import film
+from recipes.demo.switch import switch
+from recipes.evaluation.sweep import edge, sweep
 from tests._sweeps import BEND, DEMO_SPACE, SPACE, is_png, needs_gl
 from torchrl_morl import PreferenceSpace
 
@@ -40,13 +40,13 @@ def test_sweep_figure_of_two_objectives(tmp_path):
 
 def test_sweep_figure_of_three_objectives(tmp_path, monkeypatch):
     labels = []
-    savefig = recipes.figures.plt.Figure.savefig
+    savefig = figures.plt.Figure.savefig
 
     def spy(figure, *args, **kwargs):
         labels.extend(ax.get_ylabel() for ax in figure.axes)
         savefig(figure, *args, **kwargs)
 
-    monkeypatch.setattr(recipes.figures.plt.Figure, "savefig", spy)
+    monkeypatch.setattr(figures.plt.Figure, "savefig", spy)
     pairs = (("efficiency", "distance"), ("efficiency", "demo"), ("demo", "distance"))
     rows = [row(DEMO_SPACE, *pair, CircleDemonstrator()) for pair in pairs]
     path = tmp_path / "sweep.png"

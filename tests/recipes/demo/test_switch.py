@@ -9,7 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from recipes.switch import Switch, switch
+from recipes.demo.switch import Switch, switch
 from tests._sweeps import BEND, SPACE, bend
 
 

@@ -8,21 +8,24 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 
-from recipes.drex import augmentation, utils
+from recipes.drex import augmentation
+from recipes.drex.cards import metadata
+from recipes.drex.demonstrations import collect_demonstrations, demonstrated, demonstrator
+from recipes.drex.rollouts import mean_and_error
 from tests._drex import TINY, config
 from torchrl_morl.data import save_demonstrations
 
 
 @pytest.fixture(scope="module")
 def demonstrations() -> TensorDictBase:
-    return utils.collect_demonstrations(config(overrides=TINY))
+    return collect_demonstrations(config(overrides=TINY))
 
 
 @pytest.fixture
 def file(demonstrations, tmp_path):
     cfg = config(overrides=TINY)
     return save_demonstrations(
-        tmp_path / "demonstrations.safetensors", demonstrations, utils.metadata(cfg)
+        tmp_path / "demonstrations.safetensors", demonstrations, metadata(cfg)
     )
 
 
@@ -38,12 +41,12 @@ def test_a_perfect_clone_is_measured_as_such(demonstrations, monkeypatch):
 
     def clone(cfg, data):
         counts.append(len(data))
-        return utils.demonstrator(cfg), 0.0
+        return demonstrator(cfg), 0.0
 
-    monkeypatch.setattr(utils, "clone_behaviour", clone)
+    monkeypatch.setattr(augmentation, "clone_behaviour", clone)
     results = augmentation.study(cfg, demonstrations, [1, 4], 12)
     assert counts == [1, 4]
-    free = utils.demonstrated(cfg, 12, cfg.seed + 40_000)["free"]
+    free = demonstrated(cfg, 12, cfg.seed + 40_000)["free"]
     assert 2 < free.sum() < 12
     for row in range(2):
         assert torch.equal(results["success"][row].bool(), free)
@@ -55,7 +58,7 @@ def test_a_perfect_clone_is_measured_as_such(demonstrations, monkeypatch):
         assert results["frechet"][row].max() < 1e-4
     line = augmentation.table([1, 4], results).splitlines()[-1]
     assert line.split()[0] == "4"
-    mean, error = utils.mean_and_error(free.float())
+    mean, error = mean_and_error(free.float())
     assert line.endswith(f"{mean:.2f} +- {error:.2f}")
 
 

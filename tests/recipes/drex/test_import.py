@@ -12,7 +12,9 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
 from envs.demonstrations.importer import import_demonstrations
-from recipes.drex import ranking, styles, utils
+from recipes.drex import ranking, styles
+from recipes.drex.cloning import clone_behaviour
+from recipes.drex.rollouts import noisy_rollouts
 from tests._drex import config
 from torchrl_morl.modules import RewardModel
 
@@ -69,8 +71,8 @@ def driven(tmp_path_factory) -> dict[str, TensorDictBase]:
 
 def distill(cfg: DictConfig, demonstrations: TensorDictBase) -> RewardModel:
     """The stages of the recipe."""
-    policy, _ = utils.clone_behaviour(cfg, demonstrations)
-    noisy = [(0.0, demonstrations), *utils.noisy_rollouts(cfg, policy)]
+    policy, _ = clone_behaviour(cfg, demonstrations)
+    noisy = [(0.0, demonstrations), *noisy_rollouts(cfg, policy)]
     others = styles.other_styles(cfg) if cfg.style_negatives.rollouts else []
     model, _ = ranking.train_reward_model(cfg, ranking.ranked_snippets(cfg, noisy, others))
     return model

@@ -10,9 +10,14 @@ from tensordict.nn import TensorDictModule
 from torchrl.envs.utils import check_env_specs
 
 from envs.policy_env import make_policy_env
-from recipes.drex import ranking, styles, utils
-from recipes.pd_morl import utils as pd_morl
+from recipes.drex import ranking, styles
+from recipes.drex.cloning import clone_behaviour
+from recipes.drex.demonstrations import collect_demonstrations
+from recipes.drex.rollouts import noisy_rollouts
+from recipes.training.replay import make_replay_buffer
+from recipes.training.task import make_preference_space
 from tests._drex import TINY, config
+from tests._task import make_task
 from torchrl_morl.data import RankedSnippets, save_demonstrations
 from torchrl_morl.deploy import load_reward_model
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
@@ -107,9 +112,9 @@ ENTRIES = {"lidar": slice(0, 30), "goal": slice(30, 33), "human": slice(33, 36)}
 def driven() -> tuple[TensorDictBase, list[RankedSnippets]]:
     """A few demonstrations and the pairs that follow from them."""
     cfg = config(overrides=TINY)
-    demonstrations = utils.collect_demonstrations(cfg)
-    policy, _ = utils.clone_behaviour(cfg, demonstrations)
-    noisy = [(0.0, demonstrations), *utils.noisy_rollouts(cfg, policy)]
+    demonstrations = collect_demonstrations(cfg)
+    policy, _ = clone_behaviour(cfg, demonstrations)
+    noisy = [(0.0, demonstrations), *noisy_rollouts(cfg, policy)]
     return demonstrations, ranking.ranked_snippets(cfg, noisy, styles.other_styles(cfg))
 
 
@@ -154,7 +159,7 @@ def test_an_ensemble_has_as_many_members_as_asked_for(variant):
 
 def test_environment_and_replay_buffer_pay_the_same(variant, driven, tmp_path):
     _, model, _ = variant
-    preference_space = pd_morl.make_preference_space(with_demonstrations=True)
+    preference_space = make_preference_space(with_demonstrations=True)
     env = make_policy_env(reward_model=model, scene="empty", num_envs=2, num_threads=1, seed=0)
     check_env_specs(env)
     data = env.rollout(5)
@@ -165,8 +170,7 @@ def test_environment_and_replay_buffer_pay_the_same(variant, driven, tmp_path):
     file = save_demonstrations(tmp_path / "demonstrations.safetensors", driven[0], {})
     cfg = config("pd_morl", demonstrations__dataset=str(file), demonstrations__prefill=2)
     cfg.replay_buffer.size = 1000
-    buffer = pd_morl.make_replay_buffer(cfg, preference_space, torch.device("cpu"))
-    pd_morl.prefill(cfg, buffer, preference_space, model)
+    buffer = make_replay_buffer(cfg, make_task(preference_space, reward_model=model))
     score = model(driven[0][:2].select("observation", "action"))["demo_score"]
     expected = 10 * (score[driven[0][:2]["mask"]] - 1)
     torch.testing.assert_close(buffer.storage[:]["next", "reward"][:, 1:2], expected)

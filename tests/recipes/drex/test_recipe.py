@@ -15,10 +15,15 @@ from tensordict import TensorDict
 
 from envs.demonstrations import CircleDemonstrator
 from envs.policy_env import make_policy_env
-from recipes.drex import drex, report, utils
-from recipes.pd_morl import utils as pd_morl
+from recipes.drex import drex, report
+from recipes.drex.cloning import clone_behaviour
+from recipes.drex.demonstrations import demonstrated, demonstrator
+from recipes.drex.rollouts import core_return, mean_and_error, rollouts, succeeded
+from recipes.training.replay import make_replay_buffer
+from recipes.training.task import make_preference_space
 from tests._command import run
 from tests._drex import TINY, config
+from tests._task import make_task
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.deploy import load_policy, load_reward_model
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
@@ -66,7 +71,7 @@ def distilled(tmp_path_factory) -> Path:
 def test_run_leaves_demonstrations_a_reward_model_and_pictures(distilled):
     data, metadata = load_demonstrations(distilled / "demonstrations.safetensors")
     assert len(data) == 6
-    assert utils.succeeded(data).all()
+    assert succeeded(data).all()
     demonstrator = {"radius": 1.0, "side": "left", "speed": 0.5, "robot": "turtlebot2"}
     assert metadata["demonstrator"] == demonstrator
     for name in PICTURES:
@@ -148,7 +153,7 @@ def test_cloning_returns_its_best_policy(count, updates):
         batch_size=[count, 30],
     )
     cfg = config(cloning__num_cells=[16], cloning__updates=updates, cloning__lr=1e-2)
-    policy, loss = utils.clone_behaviour(cfg, data)
+    policy, loss = clone_behaviour(cfg, data)
     error = (policy(data.clone())["action"] - data["action"]).square().mean()
     signal = data["action"].square().mean()
     assert error < 0.1 * signal
@@ -159,11 +164,11 @@ def test_cloning_returns_its_best_policy(count, updates):
 
 
 def test_mean_and_error():
-    mean, error = utils.mean_and_error(torch.tensor([[1.0, 2.0, 3.0], [4.0, 4.0, 4.0]]))
+    mean, error = mean_and_error(torch.tensor([[1.0, 2.0, 3.0], [4.0, 4.0, 4.0]]))
     assert mean.tolist() == [2.0, 4.0]
     assert error.tolist() == pytest.approx([3**-0.5, 0.0])
     for count in (0, 1):
-        mean, error = utils.mean_and_error(torch.ones(2, count))
+        mean, error = mean_and_error(torch.ones(2, count))
         assert mean.isnan().all() == (count == 0)
         assert error.isnan().all()
 
@@ -178,16 +183,15 @@ def test_core_return_is_a_share_of_the_way():
         batch_size=[2, 3],
     )
     data["next", "reward"] = torch.stack((data["next", "reward"], torch.ones(2, 3)), dim=-1)
-    assert utils.core_return(data).tolist() == [1.0, -0.5]
+    assert core_return(data).tolist() == [1.0, -0.5]
 
 
 def test_degradation_is_measured_against_the_demonstrated_paths(tmp_path, monkeypatch):
     """Whoever drives as demonstrated is 0 m off, in fewer scenes than were rolled out, too."""
     cfg = config(overrides=TINY, noise__rollouts=16, diagnostics__rollouts=12)
-    demonstrator = utils.demonstrator(cfg)
-    data = utils.rollouts(demonstrator, 16, cfg.seed + 10_000, **cfg.env)
-    free = utils.demonstrated(cfg, 16, cfg.seed + 10_000)["free"]
-    assert torch.equal(utils.succeeded(data), free)
+    data = rollouts(demonstrator(cfg), 16, cfg.seed + 10_000, **cfg.env)
+    free = demonstrated(cfg, 16, cfg.seed + 10_000)["free"]
+    assert torch.equal(succeeded(data), free)
     assert 3 < free[:12].sum() < 12
     seen = []
     monkeypatch.setattr(
@@ -199,7 +203,7 @@ def test_degradation_is_measured_against_the_demonstrated_paths(tmp_path, monkey
     report.degradation_figure(tmp_path / "degradation.png", cfg, groups)
     (levels, core, core_error), (_, frechet, frechet_error) = seen
     assert levels == [0.0, 0.2]
-    expected = utils.core_return(data[:12]).mean().item()
+    expected = core_return(data[:12]).mean().item()
     assert core.tolist() == pytest.approx([expected, -expected])
     assert (core_error > 0).all()
     assert frechet.abs().max() < 1e-4
@@ -318,9 +322,8 @@ def test_prefilled_demonstrations_are_experience_under_their_own_preference(dist
     path = distilled / "demonstrations.safetensors"
     cfg = config("pd_morl", demonstrations__dataset=str(path), demonstrations__prefill=4)
     cfg.replay_buffer.size = 2000
-    preference_space = pd_morl.make_preference_space(with_demonstrations=True)
-    buffer = pd_morl.make_replay_buffer(cfg, preference_space, torch.device("cpu"))
-    pd_morl.prefill(cfg, buffer, preference_space, model)
+    preference_space = make_preference_space(with_demonstrations=True)
+    buffer = make_replay_buffer(cfg, make_task(preference_space, reward_model=model))
     data, _ = load_demonstrations(path)
     data = data[:4][data[:4]["mask"]]
     assert len(buffer) == len(data)

@@ -10,9 +10,11 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from recipes.drex import augmentation, drex, styles, utils
+from recipes.drex import augmentation, drex, styles
+from recipes.drex.demonstrations import demonstrator
 from recipes.drex.recorded import distance_from_recorded
-from recipes.pd_morl import evaluation
+from recipes.drex.rollouts import rollouts
+from recipes.training import corners
 from tests._command import run
 from tests._drex import TINY, config
 from torchrl_morl.data import load_demonstrations, save_demonstrations
@@ -25,7 +27,7 @@ EMPTY = ("env.scene=empty", "env.num_threads=1")
 def circles():
     """What the scripted demonstrator drives without boxes: recorded drives whose style is known."""
     cfg = config(overrides=EMPTY)
-    return utils.rollouts(utils.demonstrator(cfg), 4, 3, **cfg.env)
+    return rollouts(demonstrator(cfg), 4, 3, **cfg.env)
 
 
 @pytest.fixture(scope="module")
@@ -45,14 +47,14 @@ def printed(module: str, *args: object) -> str:
 
 def test_the_distance_from_drives_of_the_same_driver_is_zero(circles):
     cfg = config(overrides=EMPTY)
-    same = distance_from_recorded(cfg, utils.demonstrator(cfg), circles, 6)
+    same = distance_from_recorded(cfg, demonstrator(cfg), circles, 6)
     assert_close(same, torch.zeros_like(same), atol=1e-3, rtol=0)
 
 
 def test_the_distance_is_in_the_scenes_of_the_drives_which_take_turns(circles):
     """The mirrored circle is two radii away, a tighter detour less; six comparisons of four drives."""
     cfg = config(overrides=EMPTY)
-    mirrored = distance_from_recorded(cfg, utils.demonstrator(cfg, side="right"), circles, 6)
+    mirrored = distance_from_recorded(cfg, demonstrator(cfg, side="right"), circles, 6)
     detour = distance_from_recorded(cfg, styles.detour(cfg, 0.6), circles, 6)
     assert mirrored.shape == (6,)
     assert_close(mirrored[4:], mirrored[:2])
@@ -62,7 +64,7 @@ def test_the_distance_is_in_the_scenes_of_the_drives_which_take_turns(circles):
 
 def test_the_driver_that_is_compared_stays_as_it_was(circles):
     cfg = config(overrides=EMPTY)
-    driver = utils.demonstrator(cfg)
+    driver = demonstrator(cfg)
     distance_from_recorded(cfg, driver, circles, 2)
     assert driver.scaled
 
@@ -144,7 +146,7 @@ def test_a_policy_learns_from_recorded_drives(distilled, tmp_path):
 
 
 def test_the_evaluation_of_a_training_has_nobody_to_follow():
-    assert evaluation.demonstrated(config("pd_morl"), {}) is None
+    assert corners.demonstrated(config("pd_morl"), {}) is None
 
 
 # --- what is refused

@@ -11,9 +11,9 @@ from tensordict import TensorDict
 from envs import NavigationEnv
 from envs.policy_env import make_policy_env
 from envs.robots import HSR, TURTLEBOT2
-from recipes import references
-from recipes.references import REFERENCES, OrcaPlanner, make_reference
-from recipes.sweep import sweep
+from recipes.evaluation import references
+from recipes.evaluation.references import REFERENCES, OrcaPlanner, make_reference
+from recipes.evaluation.sweep import sweep
 from torchrl_morl import PreferenceSpace
 
 SPACE = PreferenceSpace(NavigationEnv.objectives, static={"core": 1.0})

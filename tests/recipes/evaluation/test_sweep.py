@@ -7,7 +7,7 @@ import torch
 
 from envs import Faults, NavigationEnv
 from envs.demonstrations import CircleDemonstrator
-from recipes.sweep import edge, sweep
+from recipes.evaluation.sweep import edge, sweep
 from tests._sweeps import BEND, DEMO_SPACE, SPACE
 
 STEPS = {"max_episode_steps": 100, "num_threads": 1}

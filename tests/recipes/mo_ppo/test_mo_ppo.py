@@ -13,7 +13,8 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.data import Bounded
 
 from envs import NavigationEnv
-from recipes.mo_ppo import mo_ppo, utils
+from recipes.mo_ppo import mo_ppo
+from recipes.mo_ppo.optimizers import make_schedule
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_policy, save_reward_model
@@ -117,7 +118,7 @@ def test_critic_learns_first(polished, tmp_path):
 
 def test_critic_alone_learns_whole_returns_in_more_passes(polished, tmp_path, monkeypatch):
     start, _ = polished
-    seen, plain_advantage, plain_step = [], utils.make_advantage, mo_ppo.step
+    seen, plain_advantage, plain_step = [], mo_ppo.make_advantage, mo_ppo.step
 
     def make_advantage(*args):
         advantage = plain_advantage(*args)
@@ -132,7 +133,7 @@ def test_critic_alone_learns_whole_returns_in_more_passes(polished, tmp_path, mo
         seen.append("step")
         return plain_step(optimizer, loss, *args)
 
-    monkeypatch.setattr(utils, "make_advantage", make_advantage)
+    monkeypatch.setattr(mo_ppo, "make_advantage", make_advantage)
     monkeypatch.setattr(mo_ppo, "step", step)
     run(tmp_path / "run", start, "optim.critic_batches=2", "optim.critic_epochs=3")
     # Four batches of two small ones: of the critic, and then of the critic and of the actor.
@@ -188,7 +189,7 @@ def test_trains_in_bfloat16(polished, tmp_path, monkeypatch):
     rounded = run(tmp_path / "run", start, "compute.bfloat16=null")
     name = "policies/000000128"
     cards = [load_policy(path / name)[2] for path in (folder, rounded)]
-    assert [card["config"]["compute"]["bfloat16"] for card in cards] == [False, True]
+    assert [card["bfloat16"] for card in cards] == [False, True]
     weights = [load_policy(path / name)[0].state_dict() for path in (folder, rounded)]
     assert all(value.dtype == torch.float32 for value in weights[1].values())
     moved = [torch.equal(weights[0][key], weights[1][key]) for key in weights[0]]
@@ -271,7 +272,7 @@ def test_the_rate_falls_over_all_frames_of_a_training():
                 "optim": {"lr": 0.2, "critic_batches": 2},
             }
         )
-        schedule = utils.make_schedule(cfg, optimizer, frames, begin)
+        schedule = make_schedule(cfg, optimizer, frames, begin)
         found = [optimizer.param_groups[0]["lr"]]
         for _ in range(steps):
             optimizer.step()

@@ -15,7 +15,9 @@ from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from envs import NavigationEnv
-from recipes.mo_ppo import penalties, utils
+from recipes.mo_ppo import networks, penalties
+from recipes.mo_ppo.batches import BATCH, failing, failure_rate
+from recipes.mo_ppo.networks import make_advantage, make_loss, make_policy
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.modules import make_actor, make_vector_critic
 from torchrl_morl.objectives import MultiObjectiveGAE
@@ -30,7 +32,7 @@ def configuration(*overrides: str) -> DictConfig:
 
 def test_likelihood_and_bounds():
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
-    noisy, policy = utils.make_policy(actor, torch.tensor([0.5, 0.25]))
+    noisy, policy = make_policy(actor, torch.tensor([0.5, 0.25]))
     data = TensorDict(
         observation=torch.randn(200, 4), preference=torch.rand(200, 2), batch_size=[200]
     )
@@ -49,7 +51,7 @@ def test_likelihood_and_bounds():
 def test_failures_are_the_episodes_that_end_elsewhere():
     def rate(done: list[bool], success: list[bool]) -> float:
         ends = TensorDict(done=torch.tensor(done), success=torch.tensor(success), batch_size=[4])
-        return utils.failure_rate(TensorDict(next=ends, batch_size=[4])).item()
+        return failure_rate(TensorDict(next=ends, batch_size=[4])).item()
 
     assert rate([True, True, False, True], [True, False, False, True]) == pytest.approx(1 / 3)
     assert math.isnan(rate([False] * 4, [False] * 4))
@@ -65,7 +67,7 @@ def test_what_leads_to_a_failure_is_known():
         batch_size=[2, 6],
     )
     expected = torch.tensor([[0, 0, 0, 1, 1, 0], [0] * 6], dtype=torch.bool)
-    assert torch.equal(utils.failing(data), expected)
+    assert torch.equal(failing(data), expected)
 
 
 def test_bfloat16_rounds_layers_and_not_actions():
@@ -73,7 +75,7 @@ def test_bfloat16_rounds_layers_and_not_actions():
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8, 8))
     with torch.no_grad():
         actor[0].module[-1].bias.fill_(3.0)  # tanh 0.9951, between two numbers of bfloat16
-    noisy, _ = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+    noisy, _ = make_policy(actor, torch.tensor([0.1, 0.1]))
     data = TensorDict(observation=torch.randn(50, 4), preference=torch.rand(50, 2), batch_size=[50])
     exact = actor(data.clone())["action"]
     with torch.autocast("cpu", torch.bfloat16):
@@ -87,7 +89,7 @@ def test_bfloat16_rounds_layers_and_not_actions():
 def test_gradients_go_where_they_belong():
     torch.manual_seed(0)
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
-    noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+    noisy, policy = make_policy(actor, torch.tensor([0.1, 0.1]))
     critic = make_vector_critic(
         3,
         in_features=4 + 2,
@@ -95,7 +97,7 @@ def test_gradients_go_where_they_belong():
         num_cells=(8,),
         out_key="state_value",
     )
-    loss = utils.make_loss(configuration(), noisy, critic)
+    loss = make_loss(configuration(), noisy, critic)
     data = TensorDict(
         observation=torch.randn(6, 8, 4),
         preference=torch.tensor([0.5, 0.5]).expand(6, 8, 2),
@@ -115,7 +117,7 @@ def test_gradients_go_where_they_belong():
     data["start_action"] = torch.zeros(6, 8, 2)
     data["human"] = torch.ones(6, 8, 2)
     data["fails"] = torch.zeros(6, 8, dtype=torch.bool)
-    batch = data.reshape(-1).select(*utils.BATCH)
+    batch = data.reshape(-1).select(*BATCH)
     losses = loss(batch)
 
     def trained(value: torch.Tensor) -> set[str]:
@@ -156,8 +158,8 @@ def test_values_do_not_depend_on_how_many_environments_are_evaluated_at_once(mon
     task = SimpleNamespace(preference_space=SPACE, device=torch.device("cpu"))
     results = []
     for number in (2, 5):
-        monkeypatch.setattr(utils, "ENVS_AT_ONCE", number)
-        results.append(utils.make_advantage(configuration(), task, critic)(data.clone()))
+        monkeypatch.setattr(networks, "ENVS_AT_ONCE", number)
+        results.append(make_advantage(configuration(), task, critic)(data.clone()))
     assert results[0]["advantage"].std() > 0.1
     for key in ("advantage", "value_target"):
         torch.testing.assert_close(results[0][key], results[1][key])
@@ -167,11 +169,11 @@ def test_a_loaded_loss_is_the_policy_that_collects(tmp_path):
     def made(seed: int):
         torch.manual_seed(seed)
         actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=4 + 2, num_cells=(8,))
-        noisy, policy = utils.make_policy(actor, torch.tensor([0.1, 0.1]))
+        noisy, policy = make_policy(actor, torch.tensor([0.1, 0.1]))
         critic = make_vector_critic(
             3, in_features=4 + 2, in_keys=("observation", "preference"), out_key="state_value"
         )
-        return actor, policy, utils.make_loss(configuration(), noisy, critic)
+        return actor, policy, make_loss(configuration(), noisy, critic)
 
     saved, _, loss = made(0)
     Checkpoint(loss=loss).save(tmp_path / "checkpoint")

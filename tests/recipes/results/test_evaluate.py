@@ -16,13 +16,13 @@ from torchrl.data import Bounded
 
 from envs import Faults
 from envs.demonstrations import CircleDemonstrator
+from recipes.evaluation.sweep import sweep
 from recipes.results import evaluate as module
 from recipes.results.conditions import CHANGES, SCENE_KINDS, condition
 from recipes.results.episodes import OUTCOMES
 from recipes.results.evaluate import evaluate
 from recipes.results.files import read_evaluation, read_evaluations, write_evaluation
 from recipes.results.systems import SPACE, Member, System, load_system, untrained
-from recipes.sweep import sweep
 from tests._results import SCENES, fabricate
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.deploy.features import OBSERVATION_SIZE

@@ -19,10 +19,15 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 import recipes.evaluate
 from envs import NavigationEnv
 from envs.policy_env import make_policy_env
-from recipes.scalarized import sac, td3, utils
-from recipes.sweep import sweep
-from recipes.task import Task
+from recipes.evaluation.sweep import sweep
+from recipes.scalarized import sac, td3
+from recipes.scalarized.core import core_only, cut_off_preference
+from recipes.scalarized.rewards import make_replay_buffer
+from recipes.scalarized.stochastic import make_stochastic_policy
+from recipes.training.agent import make_actor
+from recipes.training.task import Task
 from tests._command import run_here
+from tests._task import make_task
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_reward_model
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
@@ -182,13 +187,8 @@ def test_scalar_reward_of_an_environment_follows_the_sampled_preference():
     assert (data["preference"][:, 0].std(0) > 0).all()
 
 
-def task(preference_space: PreferenceSpace = SPACE) -> Task:
-    env = make_policy_env(num_envs=1, seed=0)
-    return Task(Path(), torch.device("cpu"), preference_space, env, env, None, None, None)
-
-
 def sampled(cfg: DictConfig, task: Task) -> TensorDict:
-    """A batch from a buffer that holds one transition."""
+    """What is drawn from a buffer that holds one transition."""
     transition = TensorDict(
         observation=torch.zeros(1, OBSERVATION_SIZE),
         preference=torch.tensor([[0.25, 0.75]]),
@@ -201,27 +201,27 @@ def sampled(cfg: DictConfig, task: Task) -> TensorDict:
         ),
         batch_size=1,
     )
-    replay_buffer = utils.make_replay_buffer(cfg, task)
+    replay_buffer = make_replay_buffer(cfg, task)
     replay_buffer.extend(transition)
     return replay_buffer.sample()
 
 
 def test_scalar_reward_of_a_batch_by_hand():
-    batch = sampled(configuration("td3"), task())
+    batch = sampled(configuration("td3"), make_task(SPACE))
     # (12 - 0.25 * 4 - 0.75 * 10) / 100
     assert torch.allclose(batch["next", "scalar_reward"], torch.tensor([[0.035]]))
     assert torch.equal(batch["preference"][0], torch.tensor([0.25, 0.75]))
 
 
 def test_scalar_reward_of_core_is_the_core_reward():
-    batch = sampled(configuration("td3", "objective=core"), utils.core_only(task()))
+    batch = sampled(configuration("td3", "objective=core"), core_only(make_task(SPACE)))
     assert torch.allclose(batch["next", "scalar_reward"], torch.tensor([[0.12]]))
     assert not batch["preference"].any()
     assert not batch["next", "preference"].any()
 
 
 def test_relabelled_preferences_change_the_scalar_reward():
-    batch = sampled(configuration("td3", "preference.relabel_ratio=1"), task())
+    batch = sampled(configuration("td3", "preference.relabel_ratio=1"), make_task(SPACE))
     first, second = batch["preference"].unbind(-1)
     expected = 0.12 - 0.04 * first - 0.1 * second
     assert torch.allclose(batch["next", "scalar_reward"].squeeze(-1), expected)
@@ -232,9 +232,9 @@ def test_relabelled_preferences_change_the_scalar_reward():
 
 
 def test_deterministic_sac_policy_is_the_saved_actor():
-    cfg, given = configuration("sac"), task()
-    actor = utils.make_actor(cfg, given)
-    policy = utils.make_stochastic_policy(cfg, given, actor)
+    cfg, given = configuration("sac"), make_task(SPACE)
+    actor = make_actor(cfg, given)
+    policy = make_stochastic_policy(cfg, given, actor)
     with torch.no_grad():
         for parameter in actor.parameters():
             parameter.normal_()  # through the policy too: they are the same
@@ -254,10 +254,10 @@ def test_deterministic_sac_policy_is_the_saved_actor():
 
 
 def test_actor_of_core_ignores_the_preference_and_keeps_its_bounds():
-    cfg, given = configuration("td3"), task()
-    actor = utils.make_actor(cfg, given)
+    cfg, given = configuration("td3"), make_task(SPACE)
+    actor = make_actor(cfg, given)
     before = actor[0].module[0].weight.clone()
-    utils.cut_off_preference(actor, SPACE)
+    cut_off_preference(actor, SPACE)
     weight = actor[0].module[0].weight
     assert not weight[:, OBSERVATION_SIZE:].any()
     assert torch.equal(weight[:, :OBSERVATION_SIZE], before[:, :OBSERVATION_SIZE])
