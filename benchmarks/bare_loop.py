@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from recipes.training.agent import make_straight_drive_value
+from recipes.training.gradients import tracing_backward
 from torchrl_morl.objectives import angle_between
 
 from .learner_base import TD3Learner
@@ -58,7 +59,7 @@ def _compiled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
 
     @functools.wraps(function)
     def run(*batch: Tensor) -> Tensor:
-        with torch._dynamo.config.patch(trace_autograd_ops=True):
+        with tracing_backward():
             return compiled(*batch)
 
     return run

@@ -122,3 +122,23 @@ def test_gradients_are_those_of_the_loss(network, compiled, request):
         for parameter, gradient in zip(networks[network], expected, strict=True):
             torch.testing.assert_close(parameter.grad, gradient * 0.05 / norm, rtol=1e-4, atol=1e-6)
         assert all(parameter.grad is None for parameter in networks[other])
+
+
+def test_what_is_compiled_afterwards_compiles(eager_backend):
+    """Whatever else the process does: nothing of the training is left in PyTorch's compiler."""
+    run, _ = gradients.make_gradients(*small_loss())
+    run(transitions(16))
+    assert not torch._dynamo.config.trace_autograd_ops
+
+    class Box:
+        value = "full"
+
+    box = Box()
+
+    def empty(x: torch.Tensor) -> torch.Tensor:
+        box.value = None
+        return x + 1
+
+    every = {"guard_filter_fn": lambda guards: [True] * len(guards)}
+    assert torch.compile(empty, fullgraph=True, options=every)(torch.zeros(())) == 1
+    assert box.value is None
