@@ -1,11 +1,12 @@
 """The update of ``recipes.pd_morl`` by hand: the ceiling that a library can be held against.
 
-The same maths to rounding (``tests/test_benchmarks_learner.py``), and nothing else: no TorchRL, no
+The same maths to rounding (``tests/benchmarks/test_learner.py``), and nothing else: no TorchRL, no
 TensorDict, no metadata for a log. Transitions lie in one matrix, so that a batch is one look-up.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import torch
@@ -13,10 +14,12 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.nn import functional as F
 
-from recipes.pd_morl import utils
+from recipes.training.agent import make_straight_drive_value
+from recipes.training.gradients import tracing_backward
 from torchrl_morl.objectives import angle_between
 
-from .learner_systems import Ours, TD3Learner
+from .learner_base import TD3Learner
+from .ours import Ours
 
 Layer = list[Tensor]
 """Weight and bias, and, in front of the activation, those of the LayerNorm."""
@@ -50,8 +53,20 @@ def _flat(layers: list[Layer]) -> list[Tensor]:
     return [parameter for layer in layers for parameter in layer]
 
 
+def _compiled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """With the backward pass in the graph, as the recipe."""
+    compiled = torch.compile(function, fullgraph=True)
+
+    @functools.wraps(function)
+    def run(*batch: Tensor) -> Tensor:
+        with tracing_backward():
+            return compiled(*batch)
+
+    return run
+
+
 class BareLoop(TD3Learner):
-    """The same networks, losses and optimizers as an :class:`~benchmarks.learner_systems.Ours`."""
+    """The same networks, losses and optimizers as an :class:`~benchmarks.ours.Ours`."""
 
     def __init__(self, ours: Ours, data: TensorDict, *, compiled: bool = False) -> None:
         super().__init__()
@@ -74,7 +89,7 @@ class BareLoop(TD3Learner):
         # Where the critic is one of several modules, it is the first.
         critic = ("module",)
         if cfg.network.straight_drive:
-            self.straight_drive = utils.make_straight_drive_value(cfg, preference_space)
+            self.straight_drive = make_straight_drive_value(cfg, ours.task)
             critic = ("module", "0", "module")
         self.critics = [_layers(params[critic]) for params in loss.qvalue_network_params]
         self.actor_parameters = _flat(self.actor)
@@ -111,10 +126,8 @@ class BareLoop(TD3Learner):
             self._gradients(self._actor_loss, self.actor_parameters),
         )
         if compiled:
-            # With the backward pass in the graph, as the recipe.
-            torch._dynamo.config.trace_autograd_ops = True
-            self.critic_gradients = torch.compile(self.critic_gradients, fullgraph=True)
-            self.actor_gradients = torch.compile(self.actor_gradients, fullgraph=True)
+            self.critic_gradients = _compiled(self.critic_gradients)
+            self.actor_gradients = _compiled(self.actor_gradients)
 
     # --- stages ---
 

@@ -21,50 +21,64 @@ import functools
 import itertools
 import multiprocessing
 import statistics
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from unittest import mock
 
 import torch
-import tqdm
+import torchrl.collectors
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollector
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, RewardScaling
 
-import recipes.mo_ppo
-from recipes.mo_ppo import utils as mo_ppo
-from recipes.pd_morl import pd_morl, utils
-from torchrl_morl.deploy import load_policy
+from recipes.training import off_policy, task
+from torchrl_morl.deploy import save_reward_model
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel
 
 from .learner import machine
-from .learner_systems import ACTION_SIZE, config
+from .learner_base import ACTION_SIZE
+from .workload import MO_PPO, PD_MORL, RECIPES, config, run_recipe
 
-POLICY = Path("recipes/policies/recipe_seed0")
+POLICY = RECIPES / "policies" / "recipe_seed0"
+
+make_train_env = task.make_train_env
 
 
 def make_env(cfg: DictConfig, *arguments) -> EnvBase:
     """An environment in a process of its own, which has one core."""
     torch.set_num_threads(1)
     cfg = OmegaConf.merge(cfg, {"env": {"num_threads": 1}})
-    return utils.make_train_env(cfg, *arguments)
+    return make_train_env(cfg, *arguments)
+
+
+def make_half(cfg: DictConfig, seed: int, *arguments) -> EnvBase:
+    """Half of the environments of MO-PPO, with the scale that the recipe adds to their rewards."""
+    half = {"seed": seed, "env": {"num_envs": cfg.env.num_envs // 2}}
+    env = make_env(OmegaConf.merge(cfg, half), *arguments)
+    return env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
 
 
 class Clocked:
-    """A collector that notes when it hands out each batch."""
+    """A collector that notes when each batch is asked for, and when it is there."""
 
-    def __init__(self, collector: Iterable[TensorDictBase], times: list[float]) -> None:
+    def __init__(
+        self, collector: Collector | MultiAsyncCollector | MultiSyncCollector, times: list
+    ) -> None:
         self.collector, self.times = collector, times
 
     def __iter__(self) -> Iterator[TensorDictBase]:
-        for batch in self.collector:
-            self.times.append(time.perf_counter())
+        batches = iter(self.collector)
+        while True:
+            asked = time.perf_counter()
+            batch = next(batches, None)
+            if batch is None:
+                return
+            self.times.append((asked, time.perf_counter()))
             yield batch
 
     def shutdown(self) -> None:
@@ -73,7 +87,7 @@ class Clocked:
 
 def pd_morl_batch(overlapping: bool, threads: int, frames: int, overrides: list[str]) -> float:
     """Seconds from a batch to the next: the median, to which compiling and evaluations do not matter."""
-    times = []
+    times: list[tuple[float, float]] = []
 
     def collector(env, policy, **settings):
         if not overlapping:
@@ -84,76 +98,62 @@ def pd_morl_batch(overlapping: bool, threads: int, frames: int, overrides: list[
             MultiAsyncCollector([maker], policy, update_at_each_batch=True, **settings), times
         )
 
-    with tempfile.TemporaryDirectory() as folder:
-        command = [
-            "pd_morl",
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        mock.patch.object(task, "make_train_env", wraps=make_train_env) as makes,
+        mock.patch.object(off_policy, "Collector", collector),
+    ):
+        run_recipe(
+            PD_MORL,
             f"collector.total_frames={frames}",
             f"collector.init_random_frames={config().collector.frames_per_batch}",
             "evaluation.episodes=2",
             f"compute.torch_threads={threads}",
             *overrides,
             f"hydra.run.dir={folder}/run",
-        ]
-        with (
-            mock.patch.object(sys, "argv", command),
-            mock.patch.object(utils, "make_train_env", wraps=utils.make_train_env) as makes,
-            mock.patch.object(pd_morl, "Collector", collector),
-        ):
-            pd_morl.main()
-    return statistics.median(after - before for before, after in itertools.pairwise(times))
-
-
-def mo_ppo_collectors(num_envs: int, steps: int) -> dict[str, Collector | MultiSyncCollector]:
-    """As in the recipe, with a reward model that has learned nothing: it costs the same."""
-    start, preference_space, card = load_policy(POLICY)
-    cfg = OmegaConf.load(Path(recipes.mo_ppo.__file__).parent / "config.yaml")
-    del cfg["hydra"]
-    cfg.policy = str(POLICY)
-    cfg.env.num_envs = num_envs
-    cfg = mo_ppo.complete(cfg, card)
-    reward_model = RewardModel(in_features=OBSERVATION_SIZE + ACTION_SIZE)
-    sigma = torch.tensor(list(cfg.collector.exploration_sigma))
-    settings = {
-        "frames_per_batch": num_envs * steps,
-        "total_frames": -1,
-        "auto_register_policy_transforms": False,
-    }
-    half = OmegaConf.merge(cfg, {"env": {"num_envs": num_envs // 2}})
-    makers = [
-        functools.partial(
-            make_env, OmegaConf.merge(half, {"seed": seed}), preference_space, reward_model
         )
-        for seed in range(2)
-    ]
-    return {
-        "one process": Collector(
-            utils.make_train_env(cfg, preference_space, reward_model),
-            mo_ppo.make_policy(start, sigma)[1],
-            **settings,
-        ),
-        "two processes": MultiSyncCollector(
-            makers, mo_ppo.make_policy(start, sigma)[1], cat_results=0, **settings
-        ),
-    }
+    there = [end for _, end in times]
+    return statistics.median(after - before for before, after in itertools.pairwise(there))
 
 
-def mo_ppo_batch(num_envs: int, steps: int, batches: int) -> dict[str, list[float]]:
-    """Seconds of every batch but the first, the ways in turns."""
-    torch.set_num_threads(2)
-    collectors = mo_ppo_collectors(num_envs, steps)
-    iterators = {name: iter(collector) for name, collector in collectors.items()}
-    seconds: dict[str, list[float]] = {name: [] for name in collectors}
-    try:
-        for number in tqdm.trange(batches + 1, desc="MO-PPO", unit="batch"):
-            for name, iterator in iterators.items():
-                begin = time.perf_counter()
-                next(iterator)
-                if number > 0:  # the first one also makes the environments
-                    seconds[name].append(time.perf_counter() - begin)
-    finally:
-        for collector in collectors.values():
-            collector.shutdown()
-    return seconds
+def mo_ppo_batch(two_processes: bool, num_envs: int, steps: int, batches: int) -> float:
+    """Seconds that a batch is waited for: the median, without the first, which makes the environments."""
+    times: list[tuple[float, float]] = []
+
+    def collector(env, policy, **settings):
+        if not two_processes:
+            return Clocked(Collector(env, policy, **settings), times)
+        makers = [
+            functools.partial(make_half, makes.call_args.args[0], seed, *makes.call_args.args[1:])
+            for seed in range(2)
+        ]
+        return Clocked(MultiSyncCollector(makers, policy, cat_results=0, **settings), times)
+
+    frames = num_envs * steps
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        mock.patch.object(task, "make_train_env", wraps=make_train_env) as makes,
+        mock.patch.object(torchrl.collectors, "Collector", collector),
+    ):
+        # It has learned nothing: it costs the same.
+        size = OBSERVATION_SIZE + ACTION_SIZE
+        sizes = {"in_features": size, "num_cells": (256,) * 4, "num_members": 1}
+        save_reward_model(Path(folder) / "model", RewardModel(**sizes), **sizes, card={})
+        run_recipe(
+            MO_PPO,
+            f"policy={POLICY}",
+            f"demonstrations.reward_model={folder}/model",
+            f"env.num_envs={num_envs}",
+            f"collector.frames_per_batch={frames}",
+            f"collector.total_frames={(batches + 1) * frames}",
+            # As few updates as there can be: they are not measured.
+            f"optim.batch_size={frames}",
+            "optim.critic_epochs=1",
+            f"optim.critic_batches={batches + 1}",
+            "evaluation.episodes=2",
+            f"hydra.run.dir={folder}/run",
+        )
+    return statistics.median(end - asked for asked, end in times[1:])
 
 
 def row(name: str, measured: list[float], reference: list[float]) -> str:
@@ -167,9 +167,9 @@ def main(arguments: list[str] | None = None, *, num_envs: int = 512, steps: int 
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--rounds", type=int, default=2, help="of PD-MORL")
+    parser.add_argument("--rounds", type=int, default=2, help="of all trainings")
     parser.add_argument("--frames", type=int, default=14_400, help="of each training of PD-MORL")
-    parser.add_argument("--batches", type=int, default=8, help="of MO-PPO")
+    parser.add_argument("--batches", type=int, default=4, help="of each training of MO-PPO")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="of the updates")
     parser.add_argument("--output", type=Path, default=Path("runs/benchmarks/collecting.md"))
     parser.add_argument("overrides", nargs="*", help="of recipes/pd_morl/config.yaml")
@@ -187,20 +187,23 @@ def main(arguments: list[str] | None = None, *, num_envs: int = 512, steps: int 
         for threads in args.threads
         for overlapping in (False, True)
     }
+    ways |= {
+        f"MO-PPO, collecting, {name}": functools.partial(
+            mo_ppo_batch, two_processes, num_envs, steps, args.batches
+        )
+        for two_processes, name in enumerate(("one process", "two processes"))
+    }
     seconds: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(args.rounds):
         for name, way in ways.items():
             # A pool of one for each: compiled code and threads of one training are not the next one's.
             with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
                 seconds[name].append(pool.submit(way).result())
-    polish = mo_ppo_batch(num_envs, steps, args.batches)
-    first, polish_first = next(iter(seconds.values())), polish["one process"]
-    lines = [
-        "| | seconds a batch | times the first |",
-        "| --- | --- | --- |",
-        *(row(name, measured, first) for name, measured in seconds.items()),
-        *(row(f"MO-PPO, collecting, {k}", v, polish_first) for k, v in polish.items()),
-    ]
+    lines = ["| | seconds a batch | times the first |", "| --- | --- | --- |"]
+    for recipe in ("PD-MORL", "MO-PPO"):
+        measured = {name: values for name, values in seconds.items() if name.startswith(recipe)}
+        first = next(iter(measured.values()))
+        lines += [row(name, values, first) for name, values in measured.items()]
     text = "\n".join(lines) + "\n\n" + machine()
     print(text)
     args.output.parent.mkdir(parents=True, exist_ok=True)

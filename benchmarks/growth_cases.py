@@ -16,13 +16,15 @@ from typing import NamedTuple
 import torch
 import torchrl
 
-from envs import NavigationEnv
 from envs.demonstrations import CircleDemonstrator
-from recipes.pd_morl import utils
-from recipes.sweep import sweep
+from recipes.evaluation.sweep import sweep
+from recipes.training.agent import make_actor
+from recipes.training.loss import make_loss
+from recipes.training.replay import make_replay_buffer
+from recipes.training.task import make_preference_space, make_train_env
 from torchrl_morl.preferences import PreferenceSpace
 
-from .learner_systems import config, transitions
+from .workload import config, make_task, transitions
 
 CLOCKS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
 
@@ -72,7 +74,7 @@ def environments(size: int, options: Options) -> float:
     """A step of all environments of a training: physics, scan, observation, preference, resets."""
     segments = min(size, config().preference.num_segments)
     cfg = config(f"env.num_envs={size}", f"preference.num_segments={segments}")
-    env = utils.make_train_env(cfg, utils.make_preference_space(False), None)
+    env = make_train_env(cfg, make_preference_space(with_demonstrations=False), None)
     data = env.reset()
     # Drawn before the measurement: that is the work of a policy.
     actions = [env.action_spec.rand() for _ in range(_ACTIONS)]
@@ -94,21 +96,19 @@ def objectives(size: int, options: Options) -> float:
     cfg = config("compute.compile=false")
     names = ("core", *(f"objective_{i}" for i in range(1, size)))
     preference_space = PreferenceSpace(names, static={"core": 1.0})
-    device = torch.device("cpu")
-    env = utils.make_train_env(cfg, utils.make_preference_space(False), None)
-    actor, _ = utils.make_policy(cfg, env, preference_space, device)
-    loss = utils.make_loss(cfg, env, preference_space, actor, device)
-    env.close()
+    task = make_task(cfg, preference_space)
+    loss = make_loss(cfg, task, make_actor(cfg, task))
+    task.env.close()
     loss.interpolator.refit(-torch.rand(preference_space.num_tunable, preference_space.num_tunable))
     data = transitions(_FEW_ROWS)
     data["preference"] = preference_space.sample(_FEW_ROWS)
     data["next", "preference"] = data["preference"].clone()
     data["next", "reward"] = 10 * torch.randn(_FEW_ROWS, size)
-    replay_buffer = utils.make_replay_buffer(cfg, preference_space, device)
+    replay_buffer = make_replay_buffer(cfg, task)
     replay_buffer.extend(data)
 
     def losses() -> None:
-        batch = replay_buffer.sample()
+        batch = replay_buffer.sample(cfg.replay_buffer.batch_size)
         loss.value_loss(batch)
         loss.actor_loss(batch)
 
@@ -118,11 +118,9 @@ def objectives(size: int, options: Options) -> float:
 def replay(size: int, options: Options) -> float:
     """Relabelled batches for the updates between two batches of the collector, all at once."""
     cfg = config(f"replay_buffer.size={size}")
-    updates = config().optim.updates_per_batch
-    preference_space = utils.make_preference_space(with_demonstrations=True)
-    replay_buffer = utils.make_replay_buffer(
-        cfg, preference_space, torch.device("cpu"), batches=updates
-    )
+    task = make_task(cfg)
+    task.env.close()
+    replay_buffer = make_replay_buffer(cfg, task)
     # By and by, as a collector does it: the memory is that of the storage.
     data = transitions(min(size, _FEW_ROWS))
     for _ in range(-(-size // len(data))):
@@ -134,10 +132,10 @@ def preferences(size: int, options: Options) -> float:
     """A sweep, distances to demonstrations included; the policy is an untrained one."""
     clock = CLOCKS[options.clock]
     cfg = config()
-    preference_space = utils.make_preference_space(with_demonstrations=True)
-    env = NavigationEnv(num_envs=1, num_threads=1)
-    actor, _ = utils.make_policy(cfg, env, preference_space, torch.device("cpu"))
-    env.close()
+    task = make_task(cfg)
+    preference_space = task.preference_space
+    actor = make_actor(cfg, task)
+    task.env.close()
     start = clock()
     result = sweep(
         actor,

@@ -29,7 +29,9 @@ import torchrl
 import tqdm
 
 from .floor import MatrixRate, flops
-from .learner_systems import OURS, OURS_EQUAL, SYSTEMS, UPDATES, Learner, System, transitions
+from .learner_base import Learner
+from .learner_systems import OURS, OURS_EQUAL, SYSTEMS, System
+from .workload import UPDATES, transitions
 
 Rates = dict[tuple[str, int], list[float]]
 """Of every system and number of threads: updates per second, or operations of matrix products."""
@@ -66,6 +68,8 @@ def count_flops(system: System, data) -> float:
     return flops(cycle) / UPDATES
 
 
+# Every system compiles anew for every number of threads.
+@torch._dynamo.config.patch(recompile_limit=64)
 def measure(
     names: list[str],
     threads: list[int],
@@ -76,8 +80,6 @@ def measure(
     clock: Clock = time.perf_counter,
 ) -> tuple[Rates, Spent, dict[str, float]]:
     """Rates of every system, and of the matrix products beside them; operations per update."""
-    # Every system compiles anew for every number of threads.
-    torch._dynamo.config.recompile_limit = 64
     data = transitions(size)
     operations = {name: count_flops(SYSTEMS[name], data[:1000]) for name in names}
     products = {name: MatrixRate(precision) for name, precision in PRECISIONS.items()}

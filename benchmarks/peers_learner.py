@@ -16,7 +16,7 @@ from torchrl.data import Bounded, LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import MLP, TanhModule
 from torchrl.objectives import SoftUpdate, TD3Loss
 
-from .learner_systems import ACTION_SIZE, TD3Learner
+from .learner_base import ACTION_SIZE, TD3Learner
 
 CELLS = (256, 256, 256, 256)
 BATCH_SIZE = 256

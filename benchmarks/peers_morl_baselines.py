@@ -10,9 +10,10 @@ from types import ModuleType
 
 import gymnasium
 import numpy as np
+import torch
 from tensordict import TensorDict
 
-from .learner_systems import ACTION_SIZE, Learner, Stage
+from .learner_base import ACTION_SIZE, Learner, Stage
 
 CELLS = [256, 256, 256, 256]
 
@@ -77,8 +78,6 @@ def gpi_ls(data: TensorDict, batch_size: int) -> Learner:
     Once it knows more than one solution it trains every sampled transition under two preferences,
     the current one and one it knows: twice ``batch_size`` rows, as from the second iteration on.
     """
-    import torch
-
     agent = algorithm("gpi_pd.gpi_pd_continuous_action").GPILSContinuousAction(
         _env(data),
         net_arch=CELLS,

@@ -8,6 +8,7 @@ objectives: a preference of ours, with the core objective at one, is one of them
 from __future__ import annotations
 
 import contextlib
+import inspect
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +24,7 @@ from torchrl.data import Bounded
 
 import envs.gym
 from envs import NavigationEnv
-from recipes.pd_morl import utils
+from recipes.training.task import make_preference_space
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.modules import RewardModel, make_actor
 from torchrl_morl.preferences import PreferenceSpace
@@ -31,6 +32,16 @@ from torchrl_morl.preferences import PreferenceSpace
 from .peers_morl_baselines import CELLS, algorithm
 
 BATCH_SIZE = 256
+
+_DEFAULTS = inspect.signature(NavigationEnv.__init__).parameters
+ENV = {
+    "num_envs": 1,
+    **{
+        name: _DEFAULTS[name].default
+        for name in ("scene", "robot", "goal_radius", "max_episode_steps")
+    },
+}
+"""Of Navigation-v0, for the cards of policies."""
 
 
 class Finished(Exception):
@@ -83,7 +94,7 @@ class _OurWeights:
 
     def __init__(self, num_objectives: int, *_: Any) -> None:
         with_demonstrations = num_objectives > len(NavigationEnv.objectives)
-        self.preference_space = utils.make_preference_space(with_demonstrations=with_demonstrations)
+        self.preference_space = make_preference_space(with_demonstrations=with_demonstrations)
 
     def sample(self, number: int) -> Tensor:
         return simplex_weights(self.preference_space, self.preference_space.sample(number))
@@ -107,7 +118,7 @@ class Peer:
         torch.manual_seed(seed)
         self.name, self.env = name, env
         with_demonstrations = "demo" in env.unwrapped.objectives
-        self.preference_space = utils.make_preference_space(with_demonstrations=with_demonstrations)
+        self.preference_space = make_preference_space(with_demonstrations=with_demonstrations)
         options = {
             "net_arch": CELLS,
             "batch_size": BATCH_SIZE,

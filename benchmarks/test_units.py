@@ -10,10 +10,11 @@ import pytest
 import torch
 from torchrl.envs.utils import step_mdp
 
-from recipes.pd_morl import utils
+from recipes.training.task import make_eval_env, make_preference_space, make_train_env
 from torchrl_morl.evaluation import rollout_preferences
 
-from .learner_systems import Ours, config, transitions
+from .ours import Ours
+from .workload import config, transitions
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def ours(cfg):
 
 def test_environment_step(benchmark, cfg):
     """All environments of the recipe once: physics, lidar, rewards, observation."""
-    env = utils.make_train_env(cfg, utils.make_preference_space(False), None)
+    env = make_train_env(cfg, make_preference_space(with_demonstrations=False), None)
     data = env.reset()
     data["action"] = env.rand_action(data)["action"]
 
@@ -45,22 +46,23 @@ def test_environment_step(benchmark, cfg):
 
 def test_sample_and_relabel(benchmark, ours):
     """One batch; the recipe draws several at once, which costs less for each."""
-    assert len(benchmark(ours.replay_buffer.sample)) == ours.cfg.replay_buffer.batch_size
+    size = ours.cfg.replay_buffer.batch_size
+    assert len(benchmark(ours.replay_buffer.sample, size)) == size
 
 
 def test_sample_and_relabel_for_several_updates(benchmark, ours):
     size = ours.cfg.optim.updates_per_batch * ours.cfg.replay_buffer.batch_size
-    assert len(benchmark(ours.replay_buffer.sample, size)) == size
+    assert len(benchmark(ours.replay_buffer.sample)) == size
 
 
 def test_critic_loss_forward(benchmark, ours):
-    batch = ours.replay_buffer.sample()
+    batch = ours.replay_buffer.sample(ours.cfg.replay_buffer.batch_size)
     loss, _ = benchmark(ours.loss.value_loss, batch)
     assert loss.isfinite()
 
 
 def test_critic_loss_forward_and_backward(benchmark, ours):
-    batch = ours.replay_buffer.sample()
+    batch = ours.replay_buffer.sample(ours.cfg.replay_buffer.batch_size)
 
     def forward_and_backward():
         ours.optimizers["critic"].zero_grad(set_to_none=True)
@@ -72,7 +74,7 @@ def test_critic_loss_forward_and_backward(benchmark, ours):
 
 
 def test_actor_loss_forward_and_backward(benchmark, ours):
-    batch = ours.replay_buffer.sample()
+    batch = ours.replay_buffer.sample(ours.cfg.replay_buffer.batch_size)
 
     def forward_and_backward():
         ours.optimizers["actor"].zero_grad(set_to_none=True)
@@ -89,8 +91,8 @@ def test_soft_update_and_average(benchmark, ours):
 
 def test_evaluation_of_one_preference(benchmark, cfg, ours):
     """All episodes of one preference, batched; the policy is an untrained one."""
-    preference_space = utils.make_preference_space(with_demonstrations=True)
-    env = utils.make_eval_env(cfg, preference_space, None)
+    preference_space = make_preference_space(with_demonstrations=True)
+    env = make_eval_env(cfg, preference_space, None)
 
     def evaluate():
         return rollout_preferences(

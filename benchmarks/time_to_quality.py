@@ -17,21 +17,31 @@ from __future__ import annotations
 import argparse
 import contextlib
 import csv
-import sys
 import tempfile
 import time
 from importlib.metadata import version
 from pathlib import Path
 from unittest import mock
 
+import matplotlib
 import numpy as np
 import torch
 import tqdm
+from matplotlib import pyplot
 from torchrl.collectors import Collector
 
-from recipes.pd_morl import evaluation, pd_morl, utils
+from recipes.training import off_policy
+from recipes.training.corners import CornerResult, demonstrated, evaluate_corners
+from recipes.training.task import (
+    load_demonstration_objective,
+    make_eval_env,
+    make_preference_space,
+)
 
-from .learner_systems import config
+from . import quality_peers
+from .workload import PD_MORL, config, run_recipe
+
+matplotlib.use("Agg")
 
 OURS = "ours"
 FOLDER = Path("runs/benchmarks/quality")
@@ -70,7 +80,7 @@ class Log:
     def _now() -> np.ndarray:
         return np.array((time.perf_counter(), time.process_time()))
 
-    def evaluate(self, steps: int, function, *args) -> evaluation.Evaluation:
+    def evaluate(self, steps: int, function, *args) -> CornerResult:
         """Call the recipe's evaluation and write its result down."""
         (seconds, cpu), start = self.seconds, self._now()
         result = function(*args)
@@ -100,10 +110,10 @@ class Log:
 def train_ours(log: Log, args: argparse.Namespace) -> None:
     """The recipe as it is, its evaluation under the log."""
     steps = 0
-    plain_evaluate, plain_rollout = evaluation.evaluate, Collector.rollout
+    plain_rollout = Collector.rollout
 
     def evaluate(*given):
-        result = log.evaluate(steps, plain_evaluate, *given)
+        result = log.evaluate(steps, evaluate_corners, *given)
         if args.minutes is not None and log.seconds[args.clock == "cpu"] >= 60 * args.minutes:
             raise Enough
         return result
@@ -115,21 +125,18 @@ def train_ours(log: Log, args: argparse.Namespace) -> None:
         return data
 
     with tempfile.TemporaryDirectory() as folder:
-        arguments = ["pd_morl", f"seed={log.seed}", f"hydra.run.dir={folder}/run", *args.pd_morl]
+        overrides = [f"seed={log.seed}", f"hydra.run.dir={folder}/run", *args.pd_morl]
         with (
-            mock.patch.object(sys, "argv", arguments),
-            mock.patch.object(evaluation, "evaluate", evaluate),
+            mock.patch.object(off_policy, "evaluate_corners", evaluate),
             mock.patch.object(Collector, "rollout", rollout),
             contextlib.suppress(Enough),
         ):
             log.start()
-            pd_morl.main()
+            run_recipe(PD_MORL, *overrides)
 
 
 def train_peer(log: Log, args: argparse.Namespace) -> None:
     """Until the time is up, evaluated every so many minutes of training."""
-    from . import quality_peers
-
     cfg = config(*args.pd_morl)
     if cfg.demonstrations.dataset is not None:
         raise ValueError(
@@ -137,17 +144,17 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
         )
     torch.set_num_threads(cfg.compute.torch_threads)
     scale = cfg.replay_buffer.reward_scale if args.reward_scale is None else args.reward_scale
-    model, demo_card = utils.load_demonstration_objective(cfg) or (None, None)
-    preference_space = utils.make_preference_space(with_demonstrations=model is not None)
-    eval_env = utils.make_eval_env(cfg, preference_space, model)
-    demonstration = evaluation.demonstrated(cfg, demo_card) if model else None
+    model, demo_card = load_demonstration_objective(cfg) or (None, None)
+    preference_space = make_preference_space(with_demonstrations=model is not None)
+    eval_env = make_eval_env(cfg, preference_space, model)
+    demonstration = demonstrated(cfg, demo_card) if model else None
     budget = PEERS_MINUTES if args.minutes is None else args.minutes
     due = args.every
 
     def evaluate(steps: int) -> None:
         minutes = log.seconds[args.clock == "cpu"] / 60
         arguments = (cfg, eval_env, peer.actor.eval(), preference_space, demonstration)
-        result = log.evaluate(steps, evaluation.evaluate, *arguments)
+        result = log.evaluate(steps, evaluate_corners, *arguments)
         if args.save is not None:
             card = {
                 "system": f"MORL-Baselines {version('morl-baselines')} {log.system}",
@@ -155,14 +162,7 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
                     "seed": log.seed,
                     "gamma": args.gamma,
                     "reward_scale": scale,
-                    # Of Navigation-v0.
-                    "env": {
-                        "scene": navigation.scene.name,
-                        "robot": navigation.robot.name,
-                        "goal_radius": navigation.goal_radius,
-                        "max_episode_steps": navigation.max_episode_steps,
-                        "num_envs": navigation.num_envs,
-                    },
+                    "env": quality_peers.ENV,
                 },
                 "steps": steps,
                 "minutes": round(minutes, 1),
@@ -183,7 +183,6 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
             raise quality_peers.Finished
 
     env = quality_peers.make_env(log.seed, scale, after_step, model)
-    navigation = env.unwrapped._navigation
     log.start()
     peer = quality_peers.Peer(log.system, env, seed=log.seed, gamma=args.gamma)
     # GPI-LS itself evaluates, to choose its next weights: that is part of its training.
@@ -238,11 +237,6 @@ def table(runs: Runs, success: float, clock: str = "wall") -> str:
 
 def plot(runs: Runs, path: Path, clock: str = "wall") -> None:
     """Success against minutes, one line a run, one colour a system."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     figure, axes = pyplot.subplots(figsize=(7, 4), layout="constrained")
     systems = sorted({system for system, _ in runs})
     for (system, seed), rows in sorted(runs.items()):

@@ -1,6 +1,6 @@
 """Where the time of a training goes: the recipe of PD-MORL itself, under stopwatches.
 
-Runs ``recipes.pd_morl`` for a while with watches around the functions that it calls, and prints
+Runs ``recipes.pd_morl`` for a while, as its command does, with watches around what it calls, and prints
 their shares. Further arguments are passed on to the recipe. By default the run takes as many steps as lie
 between two evaluations, so that the one at its end counts as it does in a whole training.
 
@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -25,15 +24,16 @@ from unittest import mock
 
 import torch
 from torch.optim.swa_utils import AveragedModel
+from torchrl.checkpoint import CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.objectives import SoftUpdate
 
 from envs import NavigationEnv
-from recipes.pd_morl import evaluation, files, learning, pd_morl, utils
+from recipes.training import gradients, logs, off_policy, optimizers
 
 from .learner import CLOCKS, machine
-from .learner_systems import config
+from .workload import PD_MORL, config, run_recipe
 
 OTHER = "everything else"
 SET_UP = "set-up, once"
@@ -105,14 +105,14 @@ def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
     """Watches around what the recipe calls, for as long as the context lasts."""
     adam = {}
 
-    def gradients(cfg, loss):
+    def watched_gradients(cfg, loss):
         functions = zip(("critic", "actor"), make_gradients(cfg, loss), strict=True)
         return tuple(
             watch.around(function, f"{kind}: gradients", compiling=compiled)
             for kind, function in functions
         )
 
-    def optimizers(cfg, loss):
+    def watched_optimizers(cfg, loss):
         made = make_optimizers(cfg, loss)
         adam.update((id(optimizer), f"{kind}: Adam") for kind, optimizer in made[0].items())
         return made
@@ -126,7 +126,7 @@ def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
         with watch("collect"):
             return plain_rollout(collector)
 
-    make_gradients, make_optimizers = learning.make_gradients, learning.make_optimizers
+    make_gradients, make_optimizers = gradients.make_gradients, optimizers.make_optimizers
     plain_rollout, plain_step = Collector.rollout, torch.optim.Adam.step
     plain = (
         (NavigationEnv, "_step", _inside),
@@ -135,18 +135,18 @@ def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
         (TensorDictReplayBuffer, "sample", "replay: sample, relabel"),
         (SoftUpdate, "step", "soft update, average"),
         (AveragedModel, "update_parameters", "soft update, average"),
-        (evaluation, "evaluate", "evaluate"),
-        (utils, "log_training", "log, save"),
-        (utils, "log_metrics", "log, save"),
-        (files, "save_training_policy", "log, save"),
-        (pd_morl.CheckpointRotation, "save", "log, save"),
+        (off_policy, "evaluate_corners", "evaluate"),
+        (logs, "log_training", "log, save"),
+        (logs, "log_metrics", "log, save"),
+        (off_policy, "save_training_policy", "log, save"),
+        (CheckpointRotation, "save", "log, save"),
     )
     with contextlib.ExitStack() as stack:
         for owner, attribute, name in plain:
             timed = watch.around(getattr(owner, attribute), name)
             stack.enter_context(mock.patch.object(owner, attribute, timed))
-        stack.enter_context(mock.patch.object(learning, "make_gradients", gradients))
-        stack.enter_context(mock.patch.object(learning, "make_optimizers", optimizers))
+        stack.enter_context(mock.patch.object(gradients, "make_gradients", watched_gradients))
+        stack.enter_context(mock.patch.object(optimizers, "make_optimizers", watched_optimizers))
         stack.enter_context(mock.patch.object(torch.optim.Adam, "step", step))
         stack.enter_context(mock.patch.object(Collector, "rollout", rollout))
         yield
@@ -156,11 +156,9 @@ def profile(overrides: list[str], clock: str = "wall") -> Watch:
     """Train under a watch."""
     cfg = config(*(field for field in overrides if not field.startswith("hydra")))
     with tempfile.TemporaryDirectory() as folder:
-        arguments = ["pd_morl", *overrides, f"hydra.run.dir={folder}/run"]
         watch = Watch(CLOCKS[clock])
-        patched = watched(watch, compiled=cfg.compute.compile)
-        with mock.patch.object(sys, "argv", arguments), patched:
-            pd_morl.main()
+        with watched(watch, compiled=cfg.compute.compile):
+            run_recipe(PD_MORL, *overrides, f"hydra.run.dir={folder}/run")
         watch.stop()
     return watch
 

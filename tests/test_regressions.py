@@ -15,10 +15,12 @@ from torch._dynamo.testing import CompileCounter
 from torch._dynamo.utils import counters
 from torchrl.envs import EnvBase, TransformedEnv
 
-from benchmarks.learner_systems import Ours, config, transitions
+from benchmarks.ours import Ours
+from benchmarks.workload import config, transitions
 from envs.metrics import episode_metrics, trajectories
 from envs.policy_env import make_policy_env
-from recipes.pd_morl import learning, utils
+from recipes.training import gradients
+from recipes.training.task import make_preference_space
 from tests._tally import count, python_calls
 from torchrl_morl.deploy.features import OBSERVATION_SIZE, policy_transforms
 from torchrl_morl.evaluation import discrete_frechet
@@ -33,6 +35,8 @@ from torchrl_morl.transforms import (
     ScalarizeReward,
 )
 
+pytestmark = pytest.mark.benchmark
+
 # Most operators, and most new tensors among their results. To change a budget run
 # `pytest tests/test_regressions.py -k budget`: a failure tells the numbers. More than before needs a
 # reason; less is a new budget. They are those of the versions in constraints.txt.
@@ -43,7 +47,7 @@ BUDGET = {
     "transforms of a step": (57, 49),
 }
 
-SPACE = utils.make_preference_space(with_demonstrations=True)
+SPACE = make_preference_space(with_demonstrations=True)
 MODEL = RewardModel(in_features=OBSERVATION_SIZE + 2, num_cells=(16,))
 ROWS = 300
 
@@ -79,7 +83,7 @@ def test_compiled_gradients_have_one_graph_for_the_whole_training(monkeypatch):
 
     compile_with = torch.compile
     monkeypatch.setattr(torch, "compile", compiled)
-    monkeypatch.setattr(learning.shutil, "which", lambda name: name)
+    monkeypatch.setattr(gradients.shutil, "which", lambda name: name)
     torch._dynamo.reset()
     counters.clear()
     # Fewer layers than elsewhere: tracing them is what takes time here.

@@ -1,8 +1,7 @@
-"""The set-up a newcomer meets first: pins, import directions, make targets and their error messages."""
+"""The set-up a newcomer meets first: pins, make targets and their error messages."""
 
 from __future__ import annotations
 
-import ast
 import os
 import re
 import shutil
@@ -63,35 +62,6 @@ def test_direct_dependency_is_pinned_within_its_range(requirement: Requirement) 
 
 def test_promised_extras_exist() -> None:
     assert {"test", "dev", "viz"} <= EXTRAS.keys()
-
-
-def imported_names(package: str) -> dict[str, set[str]]:
-    """Top-level names imported anywhere in a package, also inside functions, with the files that do."""
-    found: dict[str, set[str]] = {}
-    for path in (ROOT / package).rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(), filename=str(path))):
-            if isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
-                names = [node.module]
-            else:
-                continue
-            for name in names:
-                found.setdefault(name.split(".")[0], set()).add(str(path.relative_to(ROOT)))
-    return found
-
-
-@pytest.mark.parametrize(
-    ("package", "forbidden"),
-    [
-        ("torchrl_morl", {"envs", "recipes", "tests", "mujoco"}),
-        ("envs", {"recipes", "tests"}),
-        ("recipes", {"tests"}),
-    ],
-)
-def test_imports_point_one_way(package: str, forbidden: set[str]) -> None:
-    found = imported_names(package)
-    assert not {name: found[name] for name in forbidden & found.keys()}
 
 
 def test_library_imports_with_its_core_dependencies_alone() -> None:

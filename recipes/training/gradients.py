@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import shutil
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from torch import Tensor, nn
+from torch._dynamo.variables import constant
 
 from torchrl_morl.objectives import MOTD3Loss
 
@@ -30,6 +32,23 @@ def use_bfloat16(asked: bool | None, device: torch.device) -> bool:
         return torch.cuda.is_bf16_supported(including_emulation=False)
     capabilities = torch.cpu.get_capabilities()
     return bool(capabilities.get("avx512_bf16") or capabilities.get("amx_bf16"))
+
+
+@contextlib.contextmanager
+def tracing_backward() -> Iterator[None]:
+    """PyTorch traces a backward pass only if told to: in here, and nowhere else in the process.
+
+    Tracing ``.grad`` of parameters, PyTorch 2.13 notes in the one ``None`` that all graphs share where
+    it has read it, and whatever is compiled next fails where it writes ``None``: it forgets that, too.
+    """
+    with torch._dynamo.config.patch(trace_autograd_ops=True):
+        try:
+            yield
+        finally:
+            for name in ("NONE", "TRUE", "FALSE"):  # which another version need not share
+                shared = getattr(constant, f"CONSTANT_VARIABLE_{name}", None)
+                if shared is not None:
+                    shared.source = None
 
 
 def _compiled(cfg: DictConfig, function: Gradients) -> Gradients:
@@ -58,8 +77,7 @@ def _compiled(cfg: DictConfig, function: Gradients) -> Gradients:
 
     @functools.wraps(function)
     def run(batch: TensorDictBase) -> dict[str, Tensor]:
-        # PyTorch 2.13 traces a backward pass only if told to: here, and nowhere else in the process.
-        with torch._dynamo.config.patch(trace_autograd_ops=True):
+        with tracing_backward():
             return compiled(batch)
 
     return run

@@ -1,0 +1,355 @@
+"""MO-PPO: a short run, its likelihoods and its anchor by hand, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.data import Bounded
+
+from envs import NavigationEnv
+from recipes.mo_ppo import mo_ppo
+from recipes.mo_ppo.optimizers import make_schedule
+from tests._command import run_here
+from torchrl_morl import PreferenceSpace
+from torchrl_morl.deploy import load_policy, save_policy, save_reward_model
+from torchrl_morl.deploy.features import OBSERVATION_SIZE
+from torchrl_morl.modules import RewardModel, make_actor
+
+SPACE = PreferenceSpace(NavigationEnv.objectives, static={"core": 1.0})
+SHIPPED = Path(mo_ppo.__file__).parents[1] / "policies" / "navigation"
+CONFIG = {
+    "seed": 7,
+    "env": {
+        "scene": "exploring",
+        "robot": "turtlebot2",
+        "goal_radius": 0.3,
+        "max_episode_steps": 20,
+        "num_envs": 24,
+    },
+    "evaluation": {"scene": "static", "episodes": 50},
+}
+TINY = (
+    # Settings of the process: other tests run in it.
+    "compute.torch_threads=1",
+    "compute.bfloat16=false",
+    "env.num_threads=1",
+    "env.num_envs=4",
+    "collector.frames_per_batch=32",
+    "collector.total_frames=128",
+    "optim.batch_size=16",
+    "optim.critic_batches=1",
+    "network.num_cells=[16,16]",
+    "evaluation.interval=64",
+    "evaluation.episodes=2",
+    "logger.backends=[csv]",
+)
+
+
+def small_policy(folder: Path, preference_space: PreferenceSpace = SPACE) -> Path:
+    torch.manual_seed(0)
+    spec = Bounded(-1.0, 1.0, (2,))
+    size = OBSERVATION_SIZE + preference_space.num_tunable
+    actor = make_actor(spec, in_features=size, num_cells=(8,), last_layer_gain=1.0)
+    return save_policy(
+        folder,
+        actor,
+        preference_space=preference_space,
+        observation_size=OBSERVATION_SIZE,
+        action_size=2,
+        num_cells=(8,),
+        card={"config": CONFIG},
+    )
+
+
+def run(folder: Path, policy: Path, *overrides: str) -> Path:
+    run_here(mo_ppo.main, f"policy={policy}", *TINY, *overrides, f"hydra.run.dir={folder}")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def polished(tmp_path_factory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("mo_ppo")
+    start = small_policy(folder / "start")
+    return start, run(folder / "run", start)
+
+
+def test_writes_policies_that_load(polished):
+    start, folder = polished
+    saved = sorted((folder / "policies").glob("*"))
+    assert [path.name for path in saved] == ["000000064", "000000128"]
+    actor, preference_space, card = load_policy(saved[-1])
+    assert preference_space == SPACE
+    assert card["start"]["config"] == CONFIG
+    assert card["config"]["loss"]["lmbda"] == 0.8
+    # What was null is what the policy was trained in, but for the scene: that of its evaluations.
+    own = {"scene": "static", "num_envs": 4, "num_threads": 1, "repeat_failed": 0.25}
+    assert card["config"]["env"] == CONFIG["env"] | own
+    assert card["config"]["evaluation"]["scene"] == "static"
+    before, *_ = load_policy(start)
+    assert actor.state_dict().keys() == before.state_dict().keys()
+    assert any(
+        not torch.equal(value, before.state_dict()[name])
+        for name, value in actor.state_dict().items()
+    )
+    assert (folder / "run.json").is_file()
+
+
+def test_same_seed_same_policy(polished, tmp_path):
+    start, folder = polished
+    again = run(tmp_path / "run", start)
+    name = "policies/000000128/policy.safetensors"
+    assert (again / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_critic_learns_first(polished, tmp_path):
+    start, _ = polished
+    folder = run(tmp_path / "run", start, "optim.critic_batches=4")
+    actor, *_ = load_policy(folder / "policies" / "000000128")
+    before, *_ = load_policy(start)
+    for name, value in actor.state_dict().items():
+        assert torch.equal(value, before.state_dict()[name]), name
+
+
+def test_critic_alone_learns_whole_returns_in_more_passes(polished, tmp_path, monkeypatch):
+    start, _ = polished
+    seen, plain_advantage, plain_step = [], mo_ppo.make_advantage, mo_ppo.step
+
+    def make_advantage(*args):
+        advantage = plain_advantage(*args)
+
+        def recorded(module, _):
+            seen.append(round(module.lmbda.item(), 6))
+
+        advantage.register_forward_pre_hook(recorded)
+        return advantage
+
+    def step(optimizer, loss, *args):
+        seen.append("step")
+        return plain_step(optimizer, loss, *args)
+
+    monkeypatch.setattr(mo_ppo, "make_advantage", make_advantage)
+    monkeypatch.setattr(mo_ppo, "step", step)
+    run(tmp_path / "run", start, "optim.critic_batches=2", "optim.critic_epochs=3")
+    # Four batches of two small ones: of the critic, and then of the critic and of the actor.
+    alone, both = [1.0, *["step"] * 2 * 3], [0.8, *["step"] * 2 * 2]
+    assert seen == [*alone, *alone, *both, *both]
+
+
+def test_anchor_holds_a_policy_with_demonstrations(tmp_path):
+    objectives = ("core", "demo", *SPACE.tunable)
+    start = small_policy(tmp_path / "start", PreferenceSpace(objectives, static={"core": 1.0}))
+    size = OBSERVATION_SIZE + 2
+    torch.manual_seed(0)
+    model = RewardModel(in_features=size, num_cells=(8,), num_members=1)
+    sizes = {"in_features": size, "num_cells": (8,), "num_members": 1}
+    save_reward_model(tmp_path / "model", model, **sizes, card={})
+    moved = []
+    for coefficient in (0.0, 1e6):
+        folder = run(
+            tmp_path / str(coefficient),
+            start,
+            f"demonstrations.reward_model={tmp_path / 'model'}",
+            f"loss.anchor_coeff={coefficient}",
+            "loss.anchor_radius=100",  # everywhere: few of these short episodes meet the human
+            "env.max_episode_steps=300",  # what ends too late is not held
+            *("optim.lr=1e-2", "optim.epochs=3"),
+            *("collector.total_frames=320", "evaluation.interval=320"),
+        )
+        rows = (folder / "log_csv/scalars/train/anchor.csv").read_text().split()
+        moved.append(float(rows[-1].split(",")[-1]))
+    assert 0 < moved[1] < moved[0] / 2, moved
+
+
+def test_smoothness_steadies_a_policy(polished, tmp_path):
+    start, _ = polished
+    changes = []
+    for coefficient in (1e-9, 1e6):
+        folder = run(
+            tmp_path / str(coefficient),
+            start,
+            f"loss.smoothness_coeff={coefficient}",
+            *("optim.lr=1e-2", "optim.epochs=3"),
+            *("collector.total_frames=320", "evaluation.interval=320"),
+        )
+        rows = (folder / "log_csv/scalars/train/smoothness.csv").read_text().split()
+        changes.append(float(rows[-1].split(",")[-1]))
+        assert (folder / "log_csv/scalars/train/failed.csv").exists()
+    assert 0 < changes[1] < changes[0] / 2, changes
+
+
+def test_trains_in_bfloat16(polished, tmp_path, monkeypatch):
+    start, folder = polished
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
+    rounded = run(tmp_path / "run", start, "compute.bfloat16=null")
+    name = "policies/000000128"
+    cards = [load_policy(path / name)[2] for path in (folder, rounded)]
+    assert [card["bfloat16"] for card in cards] == [False, True]
+    weights = [load_policy(path / name)[0].state_dict() for path in (folder, rounded)]
+    assert all(value.dtype == torch.float32 for value in weights[1].values())
+    moved = [torch.equal(weights[0][key], weights[1][key]) for key in weights[0]]
+    assert not all(moved)
+
+
+def test_goes_on_from_the_last_checkpoint(polished, tmp_path):
+    start, folder = polished
+    # The actor waits for the critic: what is saved at the end is what was loaded.
+    more = ("collector.total_frames=192", "optim.critic_batches=100", f"resume={folder}")
+    resumed = run(tmp_path / "run", start, *more)
+    assert [path.name for path in (resumed / "policies").iterdir()] == ["000000192"]
+    weights = [
+        load_policy(path)[0].state_dict()
+        for path in (start, folder / "policies" / "000000128", resumed / "policies" / "000000192")
+    ]
+    for name, value in weights[2].items():
+        torch.testing.assert_close(value, weights[1][name], rtol=0, atol=0)
+    assert any(not torch.equal(value, weights[0][name]) for name, value in weights[2].items())
+    # And so does the critic's optimizer: 2 updates a pass over a batch of 32 frames. Of the first run
+    # one batch in three passes and three in one; of the second, whose critic is alone, two in three.
+    rotation = CheckpointRotation(resumed / "checkpoints", keep_last=1)
+    manifest = Checkpoint.manifest(rotation.latest())
+    assert manifest["metadata"]["frames"] == 192
+    assert manifest["metadata"]["schedule"] == 192
+
+    class Sink:
+        def load_state_dict(self, state):
+            self.state = state
+
+        def state_dict(self):
+            return {}
+
+    critic = Sink()
+    Checkpoint(critic=critic).load(rotation.latest(), components=["critic"], strict="warn")
+    assert {int(entry["step"]) for entry in critic.state["state"].values()} == {
+        2 * (3 + 3) + 2 * (3 + 3)
+    }
+
+
+def test_checkpoints_say_where_the_schedule_begins(polished, tmp_path, monkeypatch):
+    start, folder = polished
+    saved, save = [], CheckpointRotation.save
+
+    def record(self, *args, metadata, **kwargs):
+        saved.append((metadata["frames"], metadata["schedule"]))
+        return save(self, *args, metadata=metadata, **kwargs)
+
+    monkeypatch.setattr(CheckpointRotation, "save", record)
+    run(tmp_path / "run", start)
+    # Cut short anywhere it goes on with its own schedule; what follows its end begins another.
+    assert saved == [(64, 0), (128, 128)]
+    run(tmp_path / "more", start, f"resume={folder}", "collector.total_frames=256")
+    assert saved[2:] == [(192, 128), (256, 256)]
+
+
+def test_refuses_a_checkpoint_that_does_not_say_where_it_stands(polished, tmp_path):
+    start, folder = polished
+    old = tmp_path / "old"
+    shutil.copytree(folder / "checkpoints", old / "checkpoints")
+    for path in old.glob("checkpoints/*/manifest.json"):
+        manifest = json.loads(path.read_text())
+        del manifest["metadata"]["schedule"]
+        path.write_text(json.dumps(manifest))
+    more = (f"resume={old}", "collector.total_frames=192")
+    with pytest.raises(ValueError, match=r"its checkpoint lacks \['schedule'\]"):
+        run(tmp_path / "run", start, *more)
+    assert not (tmp_path / "run" / "policies").exists()
+
+
+def test_the_rate_falls_over_all_frames_of_a_training():
+    def rates(frames, total, steps, *, begin=0, loaded=None):
+        """Of the actor, at the first batch and after every further one."""
+        optimizer = torch.optim.Adam([torch.nn.Parameter(torch.zeros(1))], lr=0.2)
+        if loaded is not None:
+            optimizer.load_state_dict(loaded)
+        cfg = OmegaConf.create(
+            {
+                "collector": {"total_frames": total, "frames_per_batch": 10},
+                "optim": {"lr": 0.2, "critic_batches": 2},
+            }
+        )
+        schedule = make_schedule(cfg, optimizer, frames, begin)
+        found = [optimizer.param_groups[0]["lr"]]
+        for _ in range(steps):
+            optimizer.step()
+            schedule.step()
+            found.append(optimizer.param_groups[0]["lr"])
+        return found, optimizer.state_dict()
+
+    # Twelve batches, two of which are for the critic alone: ten steps down to a twentieth.
+    whole, over = rates(0, 120, 10)
+    assert whole == pytest.approx([0.2 - 0.019 * step for step in range(11)])
+    # Cut after six batches, four of which had an update.
+    cut = rates(0, 120, 4)[1]
+    assert rates(60, 120, 6, loaded=cut)[0] == pytest.approx(whole[4:])
+    # Cut while the critic was alone.
+    assert rates(10, 120, 0, loaded=cut)[0] == pytest.approx([0.2])
+    # It was over, and goes on for ten batches; that was cut after four.
+    assert rates(120, 220, 10, begin=120, loaded=over)[0] == pytest.approx(whole)
+    assert rates(160, 220, 6, begin=120, loaded=cut)[0] == pytest.approx(whole[4:])
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("optim.batch_size=64", "optim.batch_size must lie between"),
+        ("collector.exploration_sigma=[0.05,0]", "exploration_sigma must be positive"),
+        ("loss.anchor_coeff=-1", "anchor_coeff must not be negative"),
+        ("loss.anchor_radius=-1", "anchor_radius must not be negative"),
+        ("loss.anchor_window=4", "anchor_window must be an odd number of steps, .* got 4"),
+        ("loss.anchor_window=-1", "anchor_window must be an odd number of steps, .* got -1"),
+        ("loss.smoothness_coeff=-1", "smoothness_coeff must not be negative"),
+        ("loss.standing_coeff=-1", "standing_coeff must not be negative"),
+        ("loss.gamma=1.5", "loss.gamma must be in"),
+        ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),
+        ("optim.batch_size=0", "optim.batch_size must lie between"),
+        ("optim.penalty_batch_size=0", "penalty_batch_size must be at least 1, got 0"),
+        ("optim.critic_epochs=0", "critic_epochs must be at least 1, got 0"),
+        ("optim.epochs=0", "optim.epochs must be at least 1, got 0"),
+        ("optim.critic_batches=-1", "critic_batches must be at least 0, got -1"),
+        ("env.observe_human=false", "observations of 36 entries, here they have 33"),
+        ("policy=nowhere", "nowhere"),
+        ("resume=nowhere", "resume=nowhere has no checkpoint"),
+    ],
+)
+def test_refuses_bad_configurations(polished, tmp_path, override, message):
+    start, _ = polished
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        run(tmp_path / "run", start, override)
+    assert not (tmp_path / "run" / "policies").exists()
+
+
+def test_refuses_to_resume_what_is_done(polished, tmp_path):
+    start, folder = polished
+    with pytest.raises(ValueError, match="has seen 128 frames already"):
+        run(tmp_path / "run", start, f"resume={folder}")
+    assert not (tmp_path / "run" / "policies").exists()
+
+
+def test_refuses_a_policy_of_other_objectives(tmp_path):
+    with pytest.raises(ValueError, match=r"demonstrations\.reward_model must name"):
+        run(tmp_path / "run", SHIPPED)
+
+
+def test_asks_for_what_the_card_does_not_tell(polished, tmp_path):
+    start, _ = polished
+    actor, preference_space, card = load_policy(start)
+    del card["config"]["env"]["scene"], card["config"]["evaluation"]
+    policy = save_policy(
+        tmp_path / "policy",
+        actor,
+        preference_space=preference_space,
+        observation_size=OBSERVATION_SIZE,
+        action_size=2,
+        num_cells=(8,),
+        card=card,
+    )
+    with pytest.raises(ValueError, match=r"does not say what it was trained in: give env\.scene\."):
+        run(tmp_path / "run", policy)
+    folder = run(tmp_path / "again", policy, "env.scene=corridor")
+    *_, card = load_policy(folder / "policies" / "000000128")
+    assert card["config"]["evaluation"]["scene"] == "corridor"
