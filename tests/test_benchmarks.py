@@ -39,6 +39,8 @@ from benchmarks.peers_environment import (
 )
 from envs import NavigationEnv
 
+pytestmark = pytest.mark.benchmark
+
 ROOT = Path(__file__).resolve().parent.parent
 NUM_RAYS = 720
 

@@ -9,6 +9,8 @@ import pytest
 from benchmarks import growth
 from benchmarks.growth_cases import CASES, Cost, Options, peak
 
+pytestmark = pytest.mark.benchmark
+
 OPTIONS = Options(clock="cpu", seconds=0.0, scenes=2, steps=3)
 
 

@@ -19,6 +19,8 @@ from benchmarks.learner_systems import (
     transitions,
 )
 
+pytestmark = pytest.mark.benchmark
+
 SMALL = ("network.num_cells=[32,32]", "replay_buffer.batch_size=64", "replay_buffer.size=200")
 
 

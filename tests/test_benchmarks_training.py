@@ -14,6 +14,8 @@ from benchmarks import test_units as units
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.modules import RewardModel
 
+pytestmark = pytest.mark.benchmark
+
 TINY = (
     "compute.compile=false",
     "network.num_cells=[16,16]",

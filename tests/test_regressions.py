@@ -33,6 +33,8 @@ from torchrl_morl.transforms import (
     ScalarizeReward,
 )
 
+pytestmark = pytest.mark.benchmark
+
 # Most operators, and most new tensors among their results. To change a budget run
 # `pytest tests/test_regressions.py -k budget`: a failure tells the numbers. More than before needs a
 # reason; less is a new budget. They are those of the versions in constraints.txt.

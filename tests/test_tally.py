@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from tests._tally import count, counted, python_calls
+
+pytestmark = pytest.mark.benchmark
 
 
 def test_tally_sees_every_way_to_wait():
