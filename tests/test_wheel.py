@@ -62,7 +62,7 @@ def closure(wheel: Distribution, extras: set[str]) -> set[str]:
 def ask(question: str, site: Path, wheel: Distribution, extras: set[str], cwd: Path) -> None:
     """Put a question of ``_installed.py`` to the wheel, in an empty folder."""
     visible = closure(wheel, extras)
-    hidden = {"envs", "recipes", "tests", "benchmarks"}
+    hidden = {"envs", "recipes", "examples", "tests", "benchmarks"}
     for package, owners in packages_distributions().items():
         if not visible & {canonicalize_name(owner) for owner in owners}:
             hidden.add(package)
