@@ -9,7 +9,7 @@ RUN = $(VENV)/bin/python -m
 STAMP = $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo train test lint format clean
+.PHONY: help demo train test lint format lock clean
 
 help: ## list the targets
 	@echo "usage: make TARGET [ARGS='...'] [PYTHON=python3.11]"
@@ -31,6 +31,9 @@ lint: $(STAMP) ## check style and formatting
 format: $(STAMP) ## repair style and formatting
 	@$(RUN) ruff check --fix .
 	@$(RUN) ruff format .
+
+lock: ## write uv.lock anew with the versions of constraints.txt; needs uv
+	@uv lock $$(sed -n 's/^[a-z].*==/-P &/p' constraints.txt)
 
 clean: ## remove .venv and caches; runs/ stays
 	rm -rf .venv .pytest_cache .ruff_cache build dist *.egg-info

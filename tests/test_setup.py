@@ -2,28 +2,44 @@
 
 from __future__ import annotations
 
+import ast
+import importlib.metadata
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
-import tomllib
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
+import torchrl_morl
+
 ROOT = Path(__file__).resolve().parent.parent
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT, GROUPS = PYPROJECT["project"], PYPROJECT["dependency-groups"]
 EXTRAS = PROJECT["optional-dependencies"]
-TARGETS = ("demo", "train", "test", "lint", "format", "clean", "help")
+ROOMS = ("torchrl_morl", "envs", "recipes", "examples", "tests", "benchmarks")
+TARGETS = ("demo", "train", "test", "lint", "format", "lock", "clean", "help")
 
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 
 
+def requirements_of(group: str) -> list[str]:
+    """The lines of a dependency group and of those that it includes."""
+    lines = []
+    for line in GROUPS[group]:
+        lines += [line] if isinstance(line, str) else requirements_of(line["include-group"])
+    return lines
+
+
 def direct_requirements() -> list[Requirement]:
     lines = [*PROJECT["dependencies"], *(line for extra in EXTRAS.values() for line in extra)]
+    lines += [line for group in GROUPS.values() for line in group if isinstance(line, str)]
     requirements = [Requirement(line) for line in lines]
     return [r for r in requirements if canonicalize_name(r.name) != PROJECT["name"]]
 
@@ -60,29 +76,94 @@ def test_direct_dependency_is_pinned_within_its_range(requirement: Requirement) 
     assert requirement.specifier.contains(version)
 
 
-def test_promised_extras_exist() -> None:
-    assert {"test", "dev", "viz"} <= EXTRAS.keys()
+@pytest.mark.parametrize("requirement", direct_requirements(), ids=str)
+def test_direct_dependency_runs_on_the_oldest_python(requirement: Requirement) -> None:
+    """Otherwise a resolver for every Python, uv's, finds no answer."""
+    oldest = SpecifierSet(PROJECT["requires-python"])
+    (version,) = (specifier.version for specifier in oldest)
+    try:
+        needs = importlib.metadata.metadata(requirement.name)["Requires-Python"] or ""
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip(f"{requirement.name} is not installed")
+    assert SpecifierSet(needs).contains(version)
 
 
-def test_library_imports_with_its_core_dependencies_alone() -> None:
-    """Every module of the library imports where nothing from the extras is installed.
+def test_extras_are_those_of_the_wheel_and_the_rest_are_groups() -> None:
+    assert EXTRAS.keys() == {"viz", "indicators"}
+    assert GROUPS.keys() == {"sim", "recipes", "references", "test", "dev"}
 
-    TorchRL itself imports MuJoCo where it finds it, so the extras are hidden rather than looked for afterwards.
-    """
-    code = """
-import importlib, pkgutil, sys
-for name in sys.argv[1:]:
-    sys.modules[name] = None
-import torchrl_morl
-for module in pkgutil.walk_packages(torchrl_morl.__path__, "torchrl_morl."):
-    importlib.import_module(module.name)
-"""
-    hidden = ["envs", "recipes", "mujoco", "gymnasium", "mo_gymnasium", "matplotlib", "imageio"]
-    hidden += ["imageio_ffmpeg", "hydra", "tqdm", "tensorboard", "moocore", "pytest"]
-    run = subprocess.run(
-        [sys.executable, "-c", code, *hidden], cwd=ROOT, capture_output=True, text=True, timeout=120
-    )
-    assert run.returncode == 0, run.stderr
+
+def test_uv_installs_the_versions_of_constraints_txt() -> None:
+    """To repair it: make lock."""
+    locked: dict[str, set[str]] = {}
+    for package in tomllib.loads((ROOT / "uv.lock").read_text())["package"]:
+        locked.setdefault(package["name"], set()).add(package.get("version"))
+    expected = {name: {version} for name, version in pins().items()}
+    assert {name: locked.get(name) for name in expected} == expected
+
+
+def test_uv_lock_knows_what_pyproject_asks_for() -> None:
+    """To repair it: make lock."""
+    packages = tomllib.loads((ROOT / "uv.lock").read_text())["package"]
+    (ours,) = (package for package in packages if package["name"] == PROJECT["name"])
+    asked, locked = ours["metadata"], {}
+    for where, lines in {"": asked["requires-dist"], **asked["requires-dev"]}.items():
+        locked[where] = {(line["name"], SpecifierSet(line.get("specifier", ""))) for line in lines}
+    core = [*PROJECT["dependencies"], *(line for extra in EXTRAS.values() for line in extra)]
+    expected = {"": core, **{group: requirements_of(group) for group in GROUPS}}
+    assert locked == {
+        where: {(canonicalize_name(r.name), r.specifier) for r in map(Requirement, lines)}
+        for where, lines in expected.items()
+    }
+
+
+def test_the_citation_names_the_version() -> None:
+    assert f"\nversion: {torchrl_morl.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+
+
+def imported_names(package: str) -> dict[str, set[str]]:
+    """Top-level names imported anywhere in a package, also inside functions, with the files that do."""
+    found: dict[str, set[str]] = {}
+    for path in (ROOT / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(), filename=str(path))):
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+                names = [node.module]
+            else:
+                continue
+            for name in names:
+                found.setdefault(name.split(".")[0], set()).add(str(path.relative_to(ROOT)))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("package", "extras", "group"),
+    [
+        ("torchrl_morl", ("viz", "indicators"), None),
+        ("envs", (), "sim"),
+        ("recipes", ("viz", "indicators"), "recipes"),
+        ("examples", ("viz", "indicators"), "recipes"),
+        ("tests", ("viz", "indicators"), "test"),
+        ("benchmarks", ("viz", "indicators"), "dev"),
+    ],
+)
+def test_what_a_package_imports_is_declared(
+    package: str, extras: tuple[str, ...], group: str | None
+) -> None:
+    lines = [*PROJECT["dependencies"], *(line for extra in extras for line in EXTRAS[extra])]
+    if group is not None:
+        lines += [*requirements_of(group), *requirements_of("references")]
+    declared = {canonicalize_name(Requirement(line).name) for line in lines}
+    known = {*sys.stdlib_module_names, *ROOMS}
+    owners = importlib.metadata.packages_distributions()
+    undeclared = {
+        name: files
+        for name, files in imported_names(package).items()
+        if name not in known
+        and not declared & {canonicalize_name(owner) for owner in owners.get(name, ())}
+    }
+    assert not undeclared
 
 
 @needs_make
@@ -139,6 +220,21 @@ def test_failed_install_is_explained_and_an_interrupted_one_rebuilt(tmp_path: Pa
     assert "PIP_NO_INDEX=1 PIP_FIND_LINKS=" in run.stderr
     assert not (venv / "half-written").exists()
     assert not (venv / ".installed").exists()
+
+
+@needs_make
+@pytest.mark.parametrize("made_by_uv", [True, False])
+def test_an_environment_of_uv_is_kept_and_gets_pip(tmp_path: Path, made_by_uv: bool) -> None:
+    venv = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(venv)], check=True)
+    if made_by_uv:
+        with (venv / "pyvenv.cfg").open("a") as file:
+            file.write("uv = 0.13.9\n")
+    (venv / "already-there").touch()
+    offline = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(tmp_path)}
+    run = make("demo", f"PYTHON={sys.executable}", f"VENV={venv}", **offline)
+    assert "pip could not install the dependencies" in run.stderr
+    assert (venv / "already-there").exists() == made_by_uv
 
 
 @needs_make

@@ -8,7 +8,7 @@ set -eu
 
 python=$1
 venv=$2
-extra=dev # one environment for every target, so that no target reinstalls what another one needed
+group=dev # one environment for every target, so that no target reinstalls what another one needed
 minimum_minor=11 # mujoco>=4 needs Python 3.11
 
 fail() {
@@ -38,6 +38,11 @@ check_python() {
             "On Debian or Ubuntu: apt-get install python3-venv (or python3.$minor-venv)"
 }
 
+# uv's environments have no pip, and are as good.
+if [ ! -e "$venv/.unfinished" ] && grep -qs '^uv = ' "$venv/pyvenv.cfg"; then
+    "$venv/bin/python" -m pip --version >/dev/null 2>&1 || "$venv/bin/python" -m ensurepip >/dev/null 2>&1 || :
+fi
+
 fresh=no
 if [ -e "$venv/.unfinished" ] || ! "$venv/bin/python" -m pip --version >/dev/null 2>&1; then
     check_python
@@ -53,17 +58,20 @@ if [ -e "$venv/.unfinished" ] || ! "$venv/bin/python" -m pip --version >/dev/nul
     "$python" -m venv "$venv" || fail "'$python -m venv $venv' failed, see above."
 fi
 
-echo "Installing torchrl-morl[$extra] into $venv (the first time takes a few minutes) ..."
+install() {
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input "$@"
+}
+
+echo "Installing torchrl-morl and the group '$group' into $venv (the first time takes a few minutes) ..."
 : >"$venv/.unfinished"
 rm -f "$venv/.installed"
-if ! "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input \
-    -c constraints.txt -e ".[$extra]"; then
+if ! install 'pip>=25.1' || ! install -c constraints.txt -e . --group "$group"; then # older ones know no groups
     # pip leaves a working environment as it was when it gives up, so only a new one is thrown away
     [ "$fresh" = yes ] || rm -f "$venv/.unfinished"
     fail "pip could not install the dependencies; its reason is above. Run the same command again after one of these:" \
         "- no network, or a proxy: set HTTPS_PROXY, or PIP_INDEX_URL for a mirror;" \
         "- offline: with a network and the same Python version, fill a folder by" \
-        "    python3 -m pip wheel -w wheelhouse -c constraints.txt hatchling editables '.[$extra]'" \
+        "    python3 -m pip wheel -w wheelhouse -c constraints.txt pip hatchling editables . --group $group   # pip >= 25.1" \
         "  and here: PIP_NO_INDEX=1 PIP_FIND_LINKS=/path/to/wheelhouse make test;" \
         "- disk full: PyPI's PyTorch for Linux brings several GB of CUDA; the CPU build is much smaller:" \
         "    PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu make test;" \

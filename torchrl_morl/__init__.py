@@ -8,4 +8,6 @@ modules, evaluation and policy files are in the subpackages of these names.
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.segments import PreferenceSegments
 
-__all__ = ["PreferenceSegments", "PreferenceSpace"]
+__version__ = "0.2.0"
+
+__all__ = ["PreferenceSegments", "PreferenceSpace", "__version__"]

@@ -81,7 +81,7 @@ class OrcaPlanner(Driver):
     ) -> None:
         if not _has_pyrvo:
             raise ImportError(
-                "the reference 'orca' needs the package pyrvo: pip install 'torchrl-morl[references]'."
+                "the reference 'orca' needs the package pyrvo: pip install -c constraints.txt pyrvo."
             )
         in_keys = ["pose", "human_pose", "goal", ("scene", "boxes")]
         super().__init__(speed, robot, in_keys, "action", scaled)

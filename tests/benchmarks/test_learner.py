@@ -16,6 +16,8 @@ from benchmarks.workload import EQUAL_WORK, UPDATES, config, transitions
 
 pytestmark = pytest.mark.benchmark
 
+pytestmark = pytest.mark.benchmark
+
 SMALL = ("network.num_cells=[32,32]", "replay_buffer.batch_size=64", "replay_buffer.size=200")
 
 

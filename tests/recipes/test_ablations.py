@@ -7,9 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-import yaml
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
@@ -264,9 +263,9 @@ def test_ingredient_of_pd_morl_trains(name, tmp_path):
     folder = morl(tmp_path / "run", *INGREDIENTS[name])
     _, _, card = load_policy(folder / "policies" / "000000384")
     for override in INGREDIENTS[name]:
-        field, value = override.split("=")
-        section, key = field.split(".")
-        assert card["config"][section][key] == yaml.safe_load(value)
+        section, key = override.split("=")[0].split(".")
+        asked = OmegaConf.from_dotlist([override])
+        assert card["config"][section][key] == asked[section][key]
     scalars = {path.stem for path in (folder / "log_csv" / "scalars" / "train").glob("*.csv")}
     assert {"loss_actor", "loss_qvalue"} <= scalars
     assert ("angle" in scalars) == (name != "angle off")

@@ -8,6 +8,8 @@ import numpy as np
 import scipy.stats
 from torch import Tensor
 
+from torchrl_morl._extras import from_extra
+
 __all__ = ["expected_utility", "hypervolume", "steerability"]
 
 
@@ -51,7 +53,7 @@ def hypervolume(values: Tensor, reference: Tensor) -> float:
 
     Raises:
         ValueError: if the shapes do not fit.
-        ImportError: without moocore (``pip install moocore``).
+        ImportError: without moocore (``pip install 'torchrl-morl[indicators]'``).
 
     Examples:
         Two rectangles of 1 x 3 and 2 x 1, which share 1 x 1.
@@ -67,7 +69,8 @@ def hypervolume(values: Tensor, reference: Tensor) -> float:
         )
     if np.isnan(points).any() or np.isnan(corner).any():
         return float("nan")
-    import moocore
+    with from_extra("indicators", "hypervolume"):
+        import moocore
 
     return float(moocore.hypervolume(points, ref=corner, maximise=True))
 

@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrl_morl._extras import from_extra
+
 __all__ = ["BAR_COLORS", "draw_preference"]
 
 BAR_COLORS: tuple[tuple[int, int, int], ...] = (
@@ -42,10 +44,8 @@ class _Panel(NamedTuple):
 
 @functools.lru_cache(maxsize=16)
 def _panel(names: tuple[str, ...], height: int, width: int) -> _Panel:
-    try:
+    with from_extra("viz", "draw_preference"):
         from PIL import Image, ImageDraw, ImageFont
-    except ImportError as error:  # pragma: no cover
-        raise ImportError("Drawing preferences needs Pillow: pip install pillow.") from error
     size = max(9, round(height / 26))
     font = ImageFont.load_default(size)
     text_width = max(round(font.getlength(name)) for name in names)
@@ -97,6 +97,7 @@ def draw_preference(frames: Tensor, preference: Tensor, names: Sequence[str]) ->
 
     Raises:
         ValueError: if dtype or shapes do not fit, or if the frames are too small for the chart.
+        ImportError: without Pillow (``pip install 'torchrl-morl[viz]'``).
 
     Example:
         >>> import torch

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from torch import Tensor
 
+from torchrl_morl._extras import from_extra
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
@@ -41,8 +43,12 @@ def draw_scene(
         human_radius: metres.
         goal_radius: metres.
         marker_scale: size of start, goal and heading, for small pictures.
+
+    Raises:
+        ImportError: without matplotlib (``pip install 'torchrl-morl[viz]'``).
     """
-    from matplotlib.patches import Circle, Polygon
+    with from_extra("viz", "draw_scene"):
+        from matplotlib.patches import Circle, Polygon
 
     for x, y, yaw, half_length, half_width in np.asarray(boxes):
         corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * [half_length, half_width]
@@ -97,8 +103,12 @@ def draw_paths(
     Keyword Args:
         cmap: colours of 0 to 1.
         linewidth: points.
+
+    Raises:
+        ImportError: without matplotlib (``pip install 'torchrl-morl[viz]'``).
     """
-    import matplotlib as mpl
+    with from_extra("viz", "draw_paths"):
+        import matplotlib as mpl
 
     colors = mpl.colormaps[cmap] if isinstance(cmap, str) else cmap
     for path, valid, value in zip(

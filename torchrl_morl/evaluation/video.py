@@ -8,6 +8,8 @@ from typing import Any, Literal
 from torch import Tensor
 from torchrl.record import CSVLogger
 
+from torchrl_morl._extras import from_extra
+
 __all__ = ["VideoLogger", "write_video"]
 
 VideoFormat = Literal["mp4", "gif"]
@@ -27,7 +29,8 @@ def write_video(path: str | Path, frames: Tensor, *, fps: float = 10.0) -> Path:
 
     Raises:
         ValueError: for other suffixes, dtypes or shapes.
-        ImportError: without imageio (``pip install 'imageio[ffmpeg]'``).
+        ImportError: without imageio, or imageio-ffmpeg for an MP4 file
+            (``pip install 'torchrl-morl[viz]'``).
     """
     path = Path(path)
     if path.suffix not in (".mp4", ".gif"):
@@ -36,7 +39,11 @@ def write_video(path: str | Path, frames: Tensor, *, fps: float = 10.0) -> Path:
         raise ValueError(
             f"frames must be uint8 [T, H, W, 3], got {frames.dtype} {list(frames.shape)}."
         )
-    import imageio.v2 as imageio
+    with from_extra("viz", "write_video"):
+        import imageio.v2 as imageio
+
+        if path.suffix == ".mp4":
+            import imageio_ffmpeg  # noqa: F401 - imageio finds its encoder there
 
     path.parent.mkdir(parents=True, exist_ok=True)
     frames = frames.cpu()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from typing import Self
 
 import torch
 from tensordict import TensorDictBase
@@ -11,7 +12,6 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
-from typing_extensions import Self
 
 __all__ = ["RewardModelReward"]
 

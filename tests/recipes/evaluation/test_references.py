@@ -161,5 +161,5 @@ def test_orca_knows_the_size_of_its_robot():
 
 def test_orca_without_its_library_says_what_to_install(monkeypatch):
     monkeypatch.setattr(references, "_has_pyrvo", False)
-    with pytest.raises(ImportError, match=r"pip install 'torchrl-morl\[references\]'"):
+    with pytest.raises(ImportError, match=r"pip install -c constraints\.txt pyrvo"):
         make_reference("orca")
