@@ -7,7 +7,7 @@ import io
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import torch
@@ -31,6 +31,7 @@ from torchrl_morl.modules import (
     make_vector_critic,
 )
 from torchrl_morl.objectives import BradleyTerryLoss, MultiObjectiveGAE
+from torchrl_morl.preferences import SamplingDistribution
 from torchrl_morl.testing import VectorRewardMockEnv
 from torchrl_morl.transforms import (
     CheckFinite,
@@ -297,6 +298,27 @@ def test_compiled_it_does_the_same(case):
     out = compiled(case.data())
     out = out.detach().to_dict() if isinstance(out, TensorDict) else {"out": out}
     torch.testing.assert_close(out, expected)
+
+
+@pytest.mark.parametrize("distribution", get_args(SamplingDistribution))
+@pytest.mark.parametrize("name", ["relabel", "sampler", "segments", "noise"])
+def test_compiled_without_a_seed_it_draws_for_batches_of_any_size(name, distribution):
+    kwargs = {"distribution": distribution}
+    torch._dynamo.reset()  # else the sizes of another test are remembered
+    component = {
+        "relabel": lambda: PreferenceRelabel(SPACE, 1.0, **kwargs),
+        "sampler": lambda: PreferenceSampler(SPACE, preference_key="wish", **kwargs),
+        "segments": lambda: PreferenceSampler(
+            SPACE, preference_key="wish", num_segments=3, **kwargs
+        ),
+        "noise": lambda: HeldEGreedyModule(Bounded(-1.0, 1.0, (2,)), 1.0),
+    }[name]()
+    key = {"relabel": "preference", "noise": "action"}.get(name, "wish")
+    compiled = torch.compile(component, backend="eager", dynamic=True)
+    for size in (6, 20):
+        data = compiled(make_batch(size))
+        assert data[key].shape == (size, 2)
+        assert len(data[key].unique(dim=0)) == size
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Faults of TorchRL that are worked around here: each test fails once TorchRL has repaired its own.
+"""Faults of TorchRL and PyTorch that are worked around here: each test fails once they are repaired.
 
 Then the workaround that it names can go.
 """
@@ -77,3 +77,14 @@ def test_a_sample_time_transform_writes_into_a_storage_of_elements():
             torch.stack([x["next", "reward"] for x in buffer._storage._storage]).abs().sum()
         )
     assert sizes[0] < sizes[1] < sizes[2]
+
+
+def test_a_compiled_draw_of_any_size_must_not_name_the_global_generator():
+    """``torchrl_morl.generators``; https://github.com/pytorch/pytorch/issues/107170."""
+
+    @torch.compile(backend="eager", dynamic=True, fullgraph=True)
+    def draw(like: torch.Tensor) -> torch.Tensor:
+        return torch.rand(like.shape, generator=None)
+
+    with pytest.raises(RuntimeError, match="generator"):
+        draw(torch.zeros(6))

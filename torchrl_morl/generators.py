@@ -1,11 +1,43 @@
-"""Random generators of components: their state, as a tensor of the state dict."""
+"""Random generators of components: draws from them, and their state as a tensor of the state dict."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-__all__ = ["generator_from", "generator_state"]
+__all__ = ["generator_from", "generator_state", "rand", "randn"]
+
+
+def rand(
+    shape: Sequence[int],
+    generator: torch.Generator | None,
+    device: torch.device | str | None = None,
+    dtype: torch.dtype | None = None,
+) -> Tensor:
+    """:func:`torch.rand` that :func:`torch.compile` can trace for batches of any size.
+
+    Args:
+        shape (Sequence[int]): of the result.
+        generator (torch.Generator, optional): the global one if ``None``, which torch.rand must not be
+            told: with ``generator=None`` it refuses a symbolic size
+            (https://github.com/pytorch/pytorch/issues/107170).
+        device (torch.device, optional): of the result.
+        dtype (torch.dtype, optional): of the result.
+    """
+    own = {} if generator is None else {"generator": generator}
+    return torch.rand(shape, **own, device=device, dtype=dtype)
+
+
+def randn(
+    shape: Sequence[int],
+    generator: torch.Generator | None,
+    device: torch.device | str | None = None,
+) -> Tensor:
+    """:func:`torch.randn` in the same way, see :func:`rand`."""
+    own = {} if generator is None else {"generator": generator}
+    return torch.randn(shape, **own, device=device)
 
 
 def generator_state(generator: torch.Generator | None) -> Tensor:

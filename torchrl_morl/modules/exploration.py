@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from torchrl_morl.generators import generator_from, generator_state
+from torchrl_morl.generators import generator_from, generator_state, rand
 from torchrl_morl.representation import describe
 
 __all__ = ["HeldEGreedyModule"]
@@ -99,7 +99,7 @@ class HeldEGreedyModule(TensorDictModuleBase):
 
     def _rand(self, shape: torch.Size) -> Tensor:
         low, high = self.spec.space.low, self.spec.space.high
-        unit = torch.rand(*shape, *low.shape, generator=self.generator).to(low.device)
+        unit = rand((*shape, *low.shape), self.generator).to(low.device)
         return low + (high - low) * unit
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -116,7 +116,7 @@ class HeldEGreedyModule(TensorDictModuleBase):
             held = torch.zeros_like(action)
         # Noisy stretches of `hold` steps alternate with pauses of mean length 1 / start - 1.
         start = self.eps / (self.hold * (1 - self.eps) + self.eps)
-        draw = torch.rand(*shape, 1, generator=self.generator).to(action.device)
+        draw = rand((*shape, 1), self.generator).to(action.device)
         begins = (left == 0) & (draw < start)
         held = torch.where(begins, self._rand(shape).to(action), held)
         left = torch.where(begins, self.hold, left)

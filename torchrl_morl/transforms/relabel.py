@@ -12,6 +12,7 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import TensorSpec
 
+from torchrl_morl.generators import rand
 from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution
 from torchrl_morl.representation import describe
 from torchrl_morl.transforms.preference import _RandomPreferences
@@ -141,7 +142,7 @@ class PreferenceRelabel(_HindsightPreferences):
 
         """
         batch = tensordict[self.preference_key].shape[:-1]
-        mask = torch.rand(batch, generator=self.generator, device="cpu") < self.ratio
+        mask = rand(batch, self.generator, "cpu") < self.ratio
         return self._replace(tensordict, mask)
 
 
