@@ -25,11 +25,15 @@ from torchrl_morl.transforms import RewardModelReward
 
 from .navigation import NavigationEnv
 
+# Steps: longer than anything runs.
+_NO_LIMIT = 2**62
+
 
 class NavigationGymEnv(gymnasium.Env):
     """One :class:`NavigationEnv` simulation for Gymnasium, MO-Gymnasium and their wrappers.
 
-    Observations are the 36 features of :func:`torchrl_morl.deploy.features.policy_transforms`. Rewards are
+    Observations are the features of :func:`torchrl_morl.deploy.features.policy_transforms`: 36 of
+    them, 38 with the human's velocity, 33 without the human. Rewards are
     vectors, one entry per objective, as in `MO-Gymnasium <https://mo-gymnasium.farama.org>`_.
     ``info`` says in ``success``, ``collision_human`` and ``collision_obstacle`` why an episode
     terminated.
@@ -40,10 +44,19 @@ class NavigationGymEnv(gymnasium.Env):
     critics take the action as it is, so compare methods, or drive with a policy of this project,
     under ``gymnasium.wrappers.RescaleAction(env, -1.0, 1.0)``.
 
+    Episodes of the registered ids are truncated after 300 steps by Gymnasium, so that
+    ``make(..., max_episode_steps=600)`` has the usual meaning. ``make(..., render_mode="human")`` opens
+    Gymnasium's window, which cannot be recorded; to watch and record at once, wrap
+    ``HumanRendering(RecordVideo(make(..., render_mode="rgb_array"), folder))``.
+
     Args:
         render_mode: ``"rgb_array"`` or ``None``.
 
     Keyword Args:
+        observe_human: without it the observation ends with the goal.
+        observe_human_velocity: the human's velocity too, ahead and to the left, m/s.
+        max_episode_steps: steps of 0.2 s before truncation; ``None`` leaves that to a
+            :class:`gymnasium.wrappers.TimeLimit`, whose time-outs ``repeat_failed`` does not see.
         reward_model: scores demonstration-likeness, a :class:`~torchrl_morl.modules.RewardModel` or the
             folder of one: it becomes the objective "demo", in second place of the reward.
         camera: what :meth:`render` shows, ``"top"`` or ``"chase"``.
@@ -52,7 +65,8 @@ class NavigationGymEnv(gymnasium.Env):
         **kwargs: see :class:`NavigationEnv`; ``num_envs`` is 1.
 
     Raises:
-        ValueError: for an unknown ``render_mode``, or from :class:`NavigationEnv`.
+        ValueError: for an unknown ``render_mode``, from :class:`NavigationEnv`, or for the velocity of a
+            human who is not observed.
         FileNotFoundError: if the folder holds no reward model.
         ValueError: for a reward model of another observation.
 
@@ -77,6 +91,9 @@ class NavigationGymEnv(gymnasium.Env):
         self,
         render_mode: str | None = None,
         *,
+        observe_human: bool = True,
+        observe_human_velocity: bool = False,
+        max_episode_steps: int | None = 300,
         reward_model: RewardModel | str | Path | None = None,
         camera: str = "top",
         width: int = 640,
@@ -84,18 +101,31 @@ class NavigationGymEnv(gymnasium.Env):
         **kwargs: Any,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode must be 'rgb_array' or None, got {render_mode!r}.")
+            raise ValueError(
+                f"render_mode must be 'rgb_array' or None, got {render_mode!r}; for a window wrap the "
+                "environment in gymnasium.wrappers.HumanRendering."
+            )
+        # Before the simulation, as it refuses what does not go together.
+        observed = policy_transforms(
+            kwargs.get("max_range", 4.0),
+            period=NavigationEnv.CONTROL_PERIOD,
+            observe_human=observe_human,
+            observe_human_velocity=observe_human_velocity,
+        )
         if isinstance(reward_model, (str, Path)):
             reward_model, _ = load_reward_model(reward_model)
         # One simulation has no use for a pool of threads, nor Gymnasium for snapshots.
         options = {"num_threads": 1, "snapshots": False, **kwargs}
         self._navigation = NavigationEnv(
-            num_envs=1, camera=camera, render_width=width, render_height=height, **options
+            num_envs=1,
+            max_episode_steps=_NO_LIMIT if max_episode_steps is None else max_episode_steps,
+            camera=camera,
+            render_width=width,
+            render_height=height,
+            **options,
         )
         features = [
-            transform.clone()
-            for transform in policy_transforms(self._navigation.max_range)
-            if not isinstance(transform, ActionScaling)
+            transform.clone() for transform in observed if not isinstance(transform, ActionScaling)
         ]
         self._env = TransformedEnv(self._navigation, Compose(*features))
         self.render_mode = render_mode
@@ -123,7 +153,7 @@ class NavigationGymEnv(gymnasium.Env):
             options: not used.
 
         Returns:
-            Observation ``[36]`` and info.
+            Observation and info.
         """
         super().reset(seed=seed)
         if seed is not None or self._current is None:
@@ -139,7 +169,7 @@ class NavigationGymEnv(gymnasium.Env):
             action: forward speed (m/s) and turn rate (rad/s).
 
         Returns:
-            Observation ``[36]``, reward ``[K]``, terminated, truncated and info.
+            Observation, reward ``[K]``, terminated, truncated and info.
 
         Raises:
             RuntimeError: before the first reset.
@@ -198,4 +228,9 @@ for _name, _scene in (
 ):
     _id = f"torchrl_morl/{_name}-v0"
     if _id not in gymnasium.registry:
-        gymnasium.register(_id, "envs.gym:NavigationGymEnv", kwargs={"scene": _scene})
+        gymnasium.register(
+            _id,
+            "envs.gym:NavigationGymEnv",
+            max_episode_steps=300,
+            kwargs={"scene": _scene, "max_episode_steps": None},
+        )

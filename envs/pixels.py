@@ -95,7 +95,8 @@ class PixelsMixin:
             Pictures ``uint8 [n, height, width, 3]``, on the device of the environment.
 
         Raises:
-            RuntimeError: if no OpenGL backend works; the message says what to install.
+            RuntimeError: if no OpenGL backend works; the message says what to install. Also in a
+                process that was forked after its parent had drawn: start it with spawn.
             ValueError: for an unknown camera, environments that do not exist, a preference without
                 names, or trails of a wrong shape.
         """

@@ -72,4 +72,8 @@ def make_policy_env(
         transforms.append(RewardModelReward(reward_model, position=1))
     if not keep_simulation:
         transforms.append(ExcludeTransform("scan", "lidar"))
-    return TransformedEnv(base, transforms)
+    env = TransformedEnv(base, transforms)
+    # ActionScaling (https://github.com/pytorch/rl/pull/3765) fills its buffers when its bounds are first
+    # asked for. Until then `env.state_dict()` and a deep copy raise.
+    _ = env.action_spec
+    return env

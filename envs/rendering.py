@@ -90,6 +90,7 @@ def gl_context_type() -> type:
     for name in _backends():
         try:
             context_type = _try_backend(name)
+            _owner.append(os.getpid())
             # After the backend's own handler is registered, so that this one runs before it.
             atexit.register(_close_all)
             return context_type
@@ -100,7 +101,16 @@ def gl_context_type() -> type:
     raise RuntimeError(f"No OpenGL backend works (MUJOCO_GL={asked!r}): {reasons}. {_INSTALL}")
 
 
+_owner: list[int] = []
+"""The process that opened the driver, once there is one: what it holds does not survive a fork."""
+_inherited: list[Any] = []
+"""Contexts of the parent of a forked process. Freeing one hangs, so nothing may collect them."""
 _open_renderers: weakref.WeakSet[Renderer] = weakref.WeakSet()
+
+
+def _is_forked() -> bool:
+    """Whether this process was forked from one that had opened the driver."""
+    return bool(_owner) and _owner[0] != os.getpid()
 
 
 def _close_all() -> None:
@@ -156,7 +166,8 @@ class Renderer:
         samples: samples per pixel against jagged edges; 0 draws fastest.
 
     Raises:
-        RuntimeError: if no OpenGL backend works, see :func:`gl_context_type`.
+        RuntimeError: if no OpenGL backend works, see :func:`gl_context_type`; at the first picture, in a
+            process that was forked after its parent had drawn one.
     """
 
     def __init__(self, batch: Batch, *, samples: int = 4) -> None:
@@ -173,6 +184,12 @@ class Renderer:
 
     def _make_current(self, width: int, height: int) -> None:
         """Activate a context whose buffer holds pictures of this size."""
+        if _is_forked():
+            raise RuntimeError(
+                "This process was forked after its parent had drawn a picture, which OpenGL does not "
+                "survive: start it with spawn, as ParallelEnv(..., mp_start_method='spawn') or "
+                "multiprocessing.get_context('spawn')."
+            )
         if self._gl is None:
             self._gl = gl_context_type()(width, height)
             _open_renderers.add(self)
@@ -268,7 +285,9 @@ class Renderer:
         """Release the graphics memory. The next picture takes it again."""
         context, gl = self._context, self._gl
         self._context = self._gl = None
-        if gl is not None:
+        if _is_forked():
+            _inherited.append((context, gl))
+        elif gl is not None:
             if context is not None:
                 gl.make_current()
                 context.free()

@@ -6,9 +6,15 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import Bounded
 
-from torchrl_morl.modules import PreferenceInterpolator, make_actor, make_vector_critic
+from torchrl_morl.modules import (
+    PreferenceInterpolator,
+    ValueSpace,
+    make_actor,
+    make_vector_critic,
+)
 from torchrl_morl.objectives import MOTD3Loss
 from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.testing import random_transitions
 
 OBS, ACT = 4, 2
 SPEC = Bounded(torch.tensor([-1.0, 0.0]), torch.tensor([1.0, 3.0]))
@@ -24,8 +30,8 @@ def make_networks(
     return actor, critic
 
 
-def make_interpolator() -> PreferenceInterpolator:
-    interpolator = PreferenceInterpolator(torch.eye(2))
+def make_interpolator(value_space: ValueSpace = "normalized") -> PreferenceInterpolator:
+    interpolator = PreferenceInterpolator(torch.eye(2), value_space=value_space)
     interpolator.refit(torch.tensor([[0.1, -2.0], [-3.0, 0.2]]))
     return interpolator
 
@@ -34,7 +40,7 @@ def make_loss(num_cells: tuple[int, ...] = (16,), **kwargs) -> MOTD3Loss:
     """A loss with every term on."""
     defaults = {
         "preference_space": SPACE,
-        "interpolator": make_interpolator(),
+        "interpolator": make_interpolator("raw" if kwargs.get("angle") == "raw" else "normalized"),
         "angle": "normalized",
         "angle_coeff_actor": 0.3,
         "angle_coeff_critic": 0.2,
@@ -45,22 +51,15 @@ def make_loss(num_cells: tuple[int, ...] = (16,), **kwargs) -> MOTD3Loss:
 
 
 def make_batch(*batch: int, num_objectives: int = 3, num_tunable: int = 2) -> TensorDict:
-    preference = torch.distributions.Dirichlet(torch.ones(num_tunable)).sample(batch)
-    terminated = torch.rand(*batch, 1) < 0.3
-    return TensorDict(
-        observation=torch.randn(*batch, OBS),
-        preference=preference,
-        action=SPEC.rand(batch),
-        next=TensorDict(
-            observation=torch.randn(*batch, OBS),
-            preference=preference,
-            reward=torch.randn(*batch, num_objectives),
-            done=terminated | (torch.rand(*batch, 1) < 0.2),
-            terminated=terminated,
-            batch_size=batch,
-        ),
-        batch_size=batch,
+    # Rewards and preferences of sizes that need not go together: some tests want them not to.
+    rewards, wishes = (
+        PreferenceSpace(tuple(f"objective {i}" for i in range(size)))
+        for size in (num_objectives, num_tunable)
     )
+    data = random_transitions(rewards, *batch, observation_size=OBS, action_spec=SPEC)
+    data["preference"] = wishes.sample(batch)
+    data["next", "preference"] = data["preference"].clone()
+    return data
 
 
 def seeded(loss, batch: TensorDict, seed: int = 1) -> TensorDict:

@@ -16,6 +16,8 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
+from torchrl_morl.generators import randn
+
 __all__ = ["PreferenceSpace", "SamplingDistribution", "check_distribution"]
 
 SamplingDistribution = Literal["dirichlet", "abs_normal", "jeffreys"]
@@ -228,7 +230,7 @@ class PreferenceSpace:
         if distribution == "dirichlet":
             value = torch.empty(size, device=device).exponential_(generator=generator)
         else:
-            value = torch.randn(size, generator=generator, device=device).abs()
+            value = randn(size, generator, device).abs()
             if distribution == "jeffreys":
                 value = value.square()
         return value / value.sum(-1, keepdim=True)

@@ -8,6 +8,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from torchrl_morl.generators import rand
 from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution, check_distribution
 
 __all__ = ["PreferenceSegments"]
@@ -122,9 +123,7 @@ class PreferenceSegments:
     def _sample_boxes(self, flat_index: Tensor, generator: torch.Generator | None) -> Tensor:
         lower, upper = self._boxes(flat_index.device)
         lower, upper = lower[flat_index], upper[flat_index]
-        uniform = torch.rand(
-            lower.shape, dtype=torch.double, generator=generator, device=flat_index.device
-        )
+        uniform = rand(lower.shape, generator, flat_index.device, torch.double)
         return _cube_to_simplex(lower + (upper - lower) * uniform)
 
     def _sample_rejecting(

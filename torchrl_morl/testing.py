@@ -1,4 +1,9 @@
-"""A small vector-reward environment for tests and examples."""
+"""What a test of a component needs: a small vector-reward environment, and random transitions.
+
+Both are for the tests of your own losses, transforms and policies as well: :class:`VectorRewardMockEnv`
+has sensors, nested keys and any batch shape, and :func:`random_transitions` is a batch that every loss of
+this library and of TorchRL accepts.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +16,68 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-__all__ = ["VectorRewardMockEnv"]
+from torchrl_morl.preferences import PreferenceSpace
+
+__all__ = ["VectorRewardMockEnv", "random_transitions"]
+
+
+def random_transitions(
+    preference_space: PreferenceSpace,
+    *batch: int,
+    observation_size: int = 4,
+    action_spec: Bounded | None = None,
+) -> TensorDict:
+    """Transitions of nothing in particular, to call a loss with.
+
+    Rewards and observations are standard normal. Some transitions end, most of those by termination;
+    the others are truncated. Draws come from the global generator of torch.
+
+    Args:
+        preference_space (PreferenceSpace): gives rewards ``[*batch, K]`` and preferences ``[*batch, T]``.
+        *batch (int): the batch shape.
+
+    Keyword Args:
+        observation_size (int): entries of the observation.
+        action_spec (Bounded, optional): of one action. Defaults to two entries in [-1, 1].
+
+    Returns:
+        ``observation``, ``preference``, ``action`` and, in ``"next"``, ``observation``, ``preference``,
+        ``reward``, ``done`` and ``terminated``.
+
+    Example:
+        A loss of one's own in a test: with weights of zero on an objective, its reward does not count.
+
+        >>> from torchrl_morl.objectives import MultiObjectiveGAE
+        >>> space = PreferenceSpace(("distance", "efficiency"))
+        >>> batch = random_transitions(space, 3, 5)
+        >>> batch["preference"] = torch.tensor([1.0, 0.0]).expand(3, 5, 2)
+        >>> batch["state_value"] = batch["next", "state_value"] = torch.zeros(3, 5, 2)
+        >>> gae = MultiObjectiveGAE(
+        ...     gamma=0.9, lmbda=0.9, value_network=None, preference_space=space
+        ... )
+        >>> advantage = gae(batch.clone())["advantage"]
+        >>> batch["next", "reward"][..., 1] += 7.0
+        >>> bool((gae(batch)["advantage"] == advantage).all())
+        True
+
+    """
+    spec = Bounded(-1.0, 1.0, (2,)) if action_spec is None else action_spec
+    preference = preference_space.sample(batch)
+    terminated = torch.rand(*batch, 1) < 0.3
+    return TensorDict(
+        observation=torch.randn(*batch, observation_size),
+        preference=preference,
+        action=spec.rand(batch),
+        next=TensorDict(
+            observation=torch.randn(*batch, observation_size),
+            preference=preference.clone(),
+            reward=torch.randn(*batch, preference_space.num_objectives),
+            done=terminated | (torch.rand(*batch, 1) < 0.2),
+            terminated=terminated,
+            batch_size=batch,
+        ),
+        batch_size=batch,
+    )
 
 
 class VectorRewardMockEnv(EnvBase):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import RescaleAction
+from gymnasium.wrappers import HumanRendering, RecordVideo, RescaleAction
 from mo_gymnasium.wrappers import LinearReward, MONormalizeReward, MORecordEpisodeStatistics
 from mo_gymnasium.wrappers.vector import MOSyncVectorEnv
 from tensordict import TensorDict
@@ -179,6 +179,83 @@ def test_termination_and_truncation_are_told_apart():
             break
     assert terminated and not truncated and reward[0] < -900
     assert info == {"success": False, "collision_human": True, "collision_obstacle": False}
+
+
+def steps_until_truncated(env, limit: int) -> int:
+    env.reset(seed=0)
+    for step in range(1, limit + 1):
+        _, _, terminated, truncated, _ = env.step(np.zeros(2, dtype=np.float32))
+        assert not terminated
+        if truncated:
+            return step
+    return 0
+
+
+@pytest.mark.parametrize(("limit", "steps"), [(None, 300), (5, 5), (340, 340), (-1, 0)])
+def test_the_limit_of_make_is_the_limit(limit, steps):
+    limits = {} if limit is None else {"max_episode_steps": limit}
+    env = mo_gymnasium.make("torchrl_morl/Navigation-v0", scene="empty", **limits)
+    assert steps_until_truncated(env, 350) == steps
+    if limit != -1:
+        assert env.spec.max_episode_steps == steps
+
+
+def test_the_limit_of_the_class():
+    assert steps_until_truncated(NavigationGymEnv(scene="empty"), 350) == 300
+    assert steps_until_truncated(NavigationGymEnv(scene="empty", max_episode_steps=7), 350) == 7
+
+
+def test_what_is_observed_of_the_human():
+    name = "torchrl_morl/Navigation-MovingHuman-v0"
+    env = mo_gymnasium.make(name, observe_human_velocity=True)
+    plain, blind = mo_gymnasium.make(name), mo_gymnasium.make(name, observe_human=False)
+    seen = [x.reset(seed=3)[0] for x in (env, plain, blind)]
+    assert [x.observation_space.shape for x in (env, plain, blind)] == [(38,), (36,), (33,)]
+    assert seen[0][36:].tolist() == [0.0, 0.0]
+    before = env.unwrapped._current["human_pose"][0, :2]
+    for _ in range(3):
+        seen = [x.step(AHEAD)[0] for x in (env, plain, blind)]
+    np.testing.assert_array_equal(seen[0][:36], seen[1])
+    np.testing.assert_array_equal(seen[1][:33], seen[2])
+    walked = (env.unwrapped._current["human_pose"][0, :2] - before).norm() / 0.6
+    assert np.linalg.norm(seen[0][36:]) == pytest.approx(walked.item(), abs=0.05)
+    assert walked > 0.3
+    check_env(Scalar(env.unwrapped), skip_render_check=True)
+    with pytest.raises(ValueError, match="observe_human_velocity needs observe_human"):
+        mo_gymnasium.make(name, observe_human=False, observe_human_velocity=True)
+
+
+def test_a_window_is_not_recorded_and_says_so(tmp_path):
+    with pytest.raises(ValueError, match=r"for a window wrap .*HumanRendering"):
+        NavigationGymEnv(render_mode="human")
+    options = {"width": 64, "height": 48}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        window = mo_gymnasium.make("torchrl_morl/Navigation-v0", render_mode="human", **options)
+    with pytest.raises(
+        ValueError, match=r"human, which is incompatible with RecordVideo.*rgb_array"
+    ):
+        RecordVideo(window, str(tmp_path))
+
+
+def test_a_window_that_is_recorded(tmp_path):
+    pytest.importorskip("moviepy", reason="what Gymnasium records with")
+    env = mo_gymnasium.make(
+        "torchrl_morl/Navigation-v0", render_mode="rgb_array", width=64, height=48
+    )
+    env.reset(seed=0)
+    try:
+        env.render()
+    except RuntimeError as error:
+        if "OpenGL" not in str(error):
+            raise
+        pytest.skip(str(error))  # a machine that cannot draw
+    env = HumanRendering(RecordVideo(env, str(tmp_path), episode_trigger=lambda episode: True))
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(AHEAD)
+    env.close()
+    assert [path.suffix for path in tmp_path.iterdir()] == [".mp4"]
 
 
 def test_rendering():

@@ -204,6 +204,55 @@ def test_rendering_costs_nothing_until_used():
     assert "pixels" not in env.observation_spec.keys()
 
 
+FORK = """
+import multiprocessing, sys
+from envs import NavigationEnv
+
+def draw():
+    env = NavigationEnv(num_threads=1, render_width=64, render_height=48, seed=0)
+    env.reset()
+    return env, env.render()
+
+def child(inherited):
+    for one in (inherited.render, draw):  # the parent's renderer, and one of its own
+        try:
+            one()
+        except RuntimeError as error:
+            print(error, flush=True)
+    inherited.close()
+    del inherited
+
+if __name__ == "__main__":
+    inherited, _ = draw()
+    # In a row: fork fails and ends, spawn draws, and the parent goes on.
+    for method, target, arguments in (("fork", child, (inherited,)), ("spawn", draw, ())):
+        process = multiprocessing.get_context(method).Process(target=target, args=arguments)
+        process.start()
+        process.join(100)
+        print(method, process.exitcode, flush=True)
+        process.kill()
+    print(bool((inherited.render() > 0).any()), flush=True)
+"""
+
+
+@needs_gl
+def test_a_forked_process_is_told_to_spawn(tmp_path):
+    script = tmp_path / "fork.py"
+    script.write_text(FORK)
+    run = subprocess.run(
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    refusal, again, *rest = run.stdout.splitlines()
+    assert refusal == again, run.stdout + run.stderr
+    assert refusal.startswith("This process was forked after its parent had drawn a picture")
+    assert "mp_start_method='spawn'" in refusal
+    assert rest == ["fork 0", "spawn 0", "True"], run.stderr
+
+
 def test_message_without_a_backend():
     """MuJoCo is imported first, and then finds no OpenGL."""
     script = (
@@ -374,6 +423,18 @@ def test_video_recorder_with_the_logger_of_torchrl(tmp_path):
     video = torch.load(tmp_path / "run" / "videos" / "drive_0.pt")
     assert video.shape == (1, 4, 3, 108, 2 * 192)
     env.close()
+
+
+def test_pictures_may_be_numpy_arrays(tmp_path):
+    frames = torch.randint(0, 255, (3, 120, 200, 3), dtype=torch.uint8)
+    bars = draw_preference(frames, torch.tensor([0.25, 0.75]), SPACE.tunable)
+    upside_down = frames.flip(1).numpy()[:, ::-1]
+    assert torch.equal(draw_preference(upside_down, [0.25, 0.75], SPACE.tunable), bars)
+    paths = [
+        write_video(tmp_path / name, pictures)
+        for name, pictures in (("a.gif", frames), ("b.gif", upside_down))
+    ]
+    assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 def test_write_video_checks_its_input(tmp_path):

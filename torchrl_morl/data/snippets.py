@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
-from typing import Literal, Self, get_args
+from typing import Self
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
-__all__ = ["RankedSnippets"]
+from torchrl_morl.representation import describe
 
-_StartRule = Literal["independent", "aligned", "later"]
+__all__ = ["RankedSnippets"]
 
 
 class RankedSnippets:
@@ -25,12 +26,9 @@ class RankedSnippets:
     long is good, or bad. Feed the pairs to :class:`~torchrl_morl.objectives.BradleyTerryLoss`.
 
     A pair is drawn in three steps: two groups whose qualities are at least ``min_gap`` apart, all
-    such combinations being equally likely; a trajectory of each; and where each snippet starts:
-
-    - ``start="independent"``: anywhere in its trajectory;
-    - ``start="aligned"``: at the same step in both;
-    - ``start="later"``: the preferred one starts no earlier than the other one. This is the prior of
-      D-REX that progress is good. It teaches a reward how far the task is done, not in what style.
+    such combinations being equally likely; a trajectory of each; and, independently, where each
+    snippet starts. (D-REX starts the preferred one no earlier than the other one, which teaches a
+    reward how far the task is done, not in what style.)
 
     Trajectories with fewer than ``length`` valid steps are left out; ``num_left_out`` says how many.
 
@@ -42,16 +40,12 @@ class RankedSnippets:
         length (int): the number ``L`` of steps in a snippet.
         min_gap (float): the least difference in quality within a pair. Groups of the same quality
             are never compared.
-        paired (bool): take both trajectories at the same index ``n`` of their groups, the same scene
-            of an evaluation for instance. The groups then have the same N.
-        start (str): where snippets start, see above.
         in_keys (Sequence[NestedKey]): what a snippet holds, the inputs of the reward model.
         mask_key (NestedKey): valid steps ``[N, T]`` or ``[N, T, 1]``, bool: true up to the end of the
             trajectory. All steps are valid in a group without it.
         focus_key (NestedKey, optional): steps ``[N, T]`` or ``[N, T, 1]``, bool, at which snippets
-            preferably start, such as those within 2 m of the human.
-        focus_probability (float): the probability that a pair starts at such steps. A snippet of a
-            trajectory without one starts anywhere; with ``start="aligned"`` one of the two suffices.
+            start, such as those within 2 m of the human. A snippet of a trajectory without one starts
+            anywhere.
         seed (int, optional): the seed of ``generator``. Without one it is drawn from the global
             generator of torch.
 
@@ -69,7 +63,7 @@ class RankedSnippets:
         ...     data = {"observation": torch.randn(5, 40, 3), "action": torch.randn(5, 40, 2)}
         ...     return TensorDict(data, batch_size=[5, 40])
         >>> groups = [(-noise, rollouts()) for noise in (0.0, 0.1, 0.2)]
-        >>> snippets = RankedSnippets(groups, length=30, min_gap=0.1, paired=True, seed=0)
+        >>> snippets = RankedSnippets(groups, length=30, min_gap=0.1, seed=0)
         >>> train, held_out = snippets.split(0.2)
         >>> pairs = train.sample(16)
         >>> pairs["preferred", "action"].shape, pairs["gap"].shape
@@ -83,27 +77,19 @@ class RankedSnippets:
         *,
         length: int,
         min_gap: float = 0.0,
-        paired: bool = False,
-        start: _StartRule = "independent",
         in_keys: Sequence[NestedKey] = ("observation", "action"),
         mask_key: NestedKey = "mask",
         focus_key: NestedKey | None = None,
-        focus_probability: float = 1.0,
         seed: int | None = None,
     ) -> None:
         if length < 1:
             raise ValueError(f"length must be at least 1, got {length}.")
-        if start not in get_args(_StartRule):
-            raise ValueError(f"start must be one of {get_args(_StartRule)}, got {start!r}.")
-        if not 0 <= focus_probability <= 1:
-            raise ValueError(f"focus_probability must be in [0, 1], got {focus_probability}.")
+        if not 0 <= min_gap < math.inf:
+            raise ValueError(f"min_gap must be finite and >= 0, got {min_gap}.")
         sizes = [len(data) for _, data in groups]
         if len(sizes) < 2:
             raise ValueError(f"a ranking needs at least two groups, got {len(sizes)}.")
-        if paired and len(set(sizes)) > 1:
-            raise ValueError(f"paired groups must have the same size, got {sizes}.")
-        self.length, self.min_gap, self.paired, self.start = length, min_gap, paired, start
-        self.focus_probability = 0.0 if focus_key is None else focus_probability
+        self.length, self.min_gap, self.focus_key = length, min_gap, focus_key
         trajectories = [data for _, data in groups]
         longest = max(data.shape[1] for data in trajectories)
         mask = torch.cat([_flags(data, mask_key, longest, True) for data in trajectories])
@@ -117,20 +103,33 @@ class RankedSnippets:
         self._steps = torch.cat([data.select(*in_keys).reshape(-1) for data in trajectories])
         per_group = torch.tensor(sizes, device=device)
         self._group = torch.arange(len(sizes), device=device).repeat_interleave(per_group)
-        self._scene = torch.cat([torch.arange(size, device=device) for size in sizes])
         stride = torch.tensor([data.shape[1] for data in trajectories], device=device)[self._group]
         self._offset = stride.cumsum(0) - stride
         # The steps at which a snippet can start, [trajectories, T].
         num_starts = (mask.sum(-1, keepdim=True) - length + 1).clamp(min=0)
         self._starts = torch.arange(longest, device=device) < num_starts
-        self._focus = self._starts
         if focus_key is not None:
             focus = torch.cat([_flags(data, focus_key, longest) for data in trajectories])
-            self._focus = self._starts & focus
+            focus = self._starts & focus
+            self._starts = torch.where(focus.any(-1, keepdim=True), focus, self._starts)
         usable = num_starts.squeeze(-1) > 0
         self.num_left_out = int((~usable).sum())
         self._reseed(seed)
         self._index(usable)
+
+    def __repr__(self) -> str:
+        groups = {
+            float(quality): int((self._usable & (self._group == group)).sum())
+            for group, quality in enumerate(self._quality)
+        }
+        return describe(
+            self,
+            trajectories_of_quality=groups,
+            length=self.length,
+            min_gap=self.min_gap,
+            focus_key=self.focus_key,
+            seed=self.generator.initial_seed(),
+        )
 
     def sample(self, batch_size: int) -> TensorDict:
         """Draw pairs, with replacement.
@@ -144,27 +143,26 @@ class RankedSnippets:
 
         """
         combination = self._randint(torch.tensor(len(self._gap)), batch_size)
-        better, worse = self._draw_trajectories(combination, batch_size)
-        start_better, start_worse = self._draw_starts(better, worse)
+        sides = []
+        for members in (self._better, self._worse):
+            row = self._randint(members.count[combination], batch_size)
+            sides.append(members.get(combination, row))
+        better, worse = sides
         return TensorDict(
             {
-                "preferred": self._gather(better, start_better),
-                "other": self._gather(worse, start_worse),
+                "preferred": self._gather(better),
+                "other": self._gather(worse),
                 "gap": self._gap[combination],
             },
             batch_size=[batch_size],
         )
 
-    def split(self, fraction: float, generator: torch.Generator | None = None) -> tuple[Self, Self]:
+    def split(self, fraction: float) -> tuple[Self, Self]:
         """Part the trajectories, so that a held-out snippet shares no step with the others.
-
-        Paired groups are parted by index, the same in all of them: held-out scenes are new ones.
 
         Args:
             fraction (float): the share of every group that is held out, in (0, 1), rounded to whole
-                trajectories but at least one.
-            generator (torch.Generator, optional): decides which, on the device of the data. Defaults
-                to the own generator.
+                trajectories but at least one; the own generator decides which.
 
         Returns:
             The training part and the held-out part, which share the data but have generators of
@@ -176,19 +174,12 @@ class RankedSnippets:
         """
         if not 0 < fraction < 1:
             raise ValueError(f"fraction must be between 0 and 1, got {fraction}.")
-        generator = self.generator if generator is None else generator
-        device = self._group.device
+        generator, device = self.generator, self._group.device
         held_out = torch.zeros_like(self._usable)
-        if self.paired:
-            scenes = self._scene[self._usable].unique()
-            order = torch.randperm(len(scenes), generator=generator, device=device)
-            chosen = scenes[order[: max(1, round(fraction * len(scenes)))]]
-            held_out = torch.isin(self._scene, chosen)
-        else:
-            for group in range(len(self._quality)):
-                members = (self._usable & (self._group == group)).nonzero().squeeze(-1)
-                order = torch.randperm(len(members), generator=generator, device=device)
-                held_out[members[order[: max(1, round(fraction * len(members)))]]] = True
+        for group in range(len(self._quality)):
+            members = (self._usable & (self._group == group)).nonzero().squeeze(-1)
+            order = torch.randperm(len(members), generator=generator, device=device)
+            held_out[members[order[: max(1, round(fraction * len(members)))]]] = True
         parts = []
         for chosen in (~held_out, held_out):
             part = copy.copy(self)
@@ -216,16 +207,10 @@ class RankedSnippets:
                 # Rounding: 0.3 - 0.1 is less than 0.2.
                 if gap <= 0 or gap < self.min_gap - 1e-9:
                     continue
-                if self.paired:
-                    both = torch.isin(self._scene[first], self._scene[second])
-                    back = torch.isin(self._scene[second], self._scene[first])
-                    rows = first[both], second[back]
-                else:
-                    rows = first, second
-                if len(rows[0]) and len(rows[1]):
+                if len(first) and len(second):
                     gaps.append(gap)
-                    better.append(rows[0])
-                    worse.append(rows[1])
+                    better.append(first)
+                    worse.append(second)
         if not gaps:
             raise ValueError(
                 f"no two groups at least {self.min_gap} apart have trajectories of {self.length} "
@@ -235,37 +220,6 @@ class RankedSnippets:
         self._gap = torch.tensor(gaps, device=device)
         self._better, self._worse = _Ragged(better), _Ragged(worse)
 
-    def _draw_trajectories(self, combination: Tensor, batch_size: int) -> tuple[Tensor, Tensor]:
-        row = self._randint(self._better.count[combination], batch_size)
-        better = self._better.get(combination, row)
-        if not self.paired:
-            row = self._randint(self._worse.count[combination], batch_size)
-        return better, self._worse.get(combination, row)
-
-    def _draw_starts(self, better: Tensor, worse: Tensor) -> tuple[Tensor, Tensor]:
-        coin = torch.rand(len(better), 1, generator=self.generator, device=better.device)
-        focused = coin < self.focus_probability
-        starts, other_starts = self._starts[better], self._starts[worse]
-        focus, other_focus = self._focus[better], self._focus[worse]
-        if self.start == "aligned":
-            both = starts & other_starts
-            start = self._draw(both, both & (focus | other_focus), focused)
-            return start, start
-        if self.start == "later":
-            # Step 0 is a start of every usable trajectory, hence so is a common one of both.
-            other_starts = other_starts & starts
-        other = self._draw(other_starts, other_starts & other_focus, focused)
-        if self.start == "later":
-            step = torch.arange(starts.shape[-1], device=starts.device)
-            starts = starts & (step >= other.unsqueeze(-1))
-        return self._draw(starts, starts & focus, focused), other
-
-    def _draw(self, allowed: Tensor, focus: Tensor, focused: Tensor) -> Tensor:
-        """A true entry of each row ``[B, T]``: one of ``focus`` where that is asked for and exists."""
-        focused = focused & focus.any(-1, keepdim=True)
-        weights = torch.where(focused, focus, allowed).float()
-        return torch.multinomial(weights, 1, generator=self.generator).squeeze(-1)
-
     def _randint(self, high: Tensor, size: int) -> Tensor:
         """Integers ``[B]`` in [0, high), where ``high`` may differ between entries."""
         uniform = torch.rand(
@@ -273,9 +227,10 @@ class RankedSnippets:
         )
         return (uniform * high.to(uniform.device)).long()
 
-    def _gather(self, trajectory: Tensor, start: Tensor) -> TensorDictBase:
+    def _gather(self, trajectory: Tensor) -> TensorDictBase:
+        start = torch.multinomial(self._starts[trajectory].float(), 1, generator=self.generator)
         step = torch.arange(self.length, device=start.device)
-        return self._steps[(self._offset[trajectory] + start).unsqueeze(-1) + step]
+        return self._steps[self._offset[trajectory].unsqueeze(-1) + start + step]
 
 
 class _Ragged:

@@ -2,7 +2,8 @@
 
 A trajectory has ``T`` points including its start; ``mask`` marks those before and at its end, and
 what lies behind it may be anything, NaN included. NaN before it makes the result NaN, and so does
-whatever leaves a value undefined. Definitions follow Francis et al.
+whatever leaves a value undefined. NumPy arrays and nested lists do as well as tensors; what comes
+back is a tensor. Definitions follow Francis et al.
 (https://arxiv.org/abs/2306.16740); ``docs/metrics.md`` lists them all.
 """
 
@@ -10,6 +11,8 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+
+from .arrays import as_flags, as_numbers
 
 __all__ = ["path_length", "spl", "stl", "time_to_goal"]
 
@@ -30,6 +33,7 @@ def path_length(position: Tensor, mask: Tensor) -> Tensor:
         >>> path_length(position, torch.tensor([True, True, True]))
         tensor(6.)
     """
+    position, mask = as_numbers(position), as_flags(mask)
     step = (position[..., 1:, :] - position[..., :-1, :]).norm(dim=-1)
     length = step.masked_fill(~mask[..., 1:], 0.0).sum(-1)  # padding may be NaN
     return length.masked_fill(~mask.any(-1), torch.nan)
@@ -53,6 +57,7 @@ def time_to_goal(success: Tensor, mask: Tensor, dt: float) -> Tensor:
         >>> time_to_goal(success, mask, dt=0.5)
         tensor([1., nan])
     """
+    success, mask = as_flags(success), as_flags(mask)
     time = (mask.sum(-1) - 1) * dt
     return time.masked_fill(~(success & mask.any(-1)), torch.nan)
 
@@ -114,11 +119,13 @@ def stl(success: Tensor, mask: Tensor, dt: float, reference: Tensor) -> Tensor:
         >>> stl(torch.tensor([True, False]), mask, dt=0.5, reference=torch.tensor([4.0, 4.0]))
         tensor([0.8000, 0.0000])
     """
+    mask = as_flags(mask)
     time = (mask.sum(-1) - 1) * dt
     return _weighted(success, time.masked_fill(~mask.any(-1), torch.nan), reference, "reference")
 
 
 def _weighted(success: Tensor, actual: Tensor, best: Tensor, name: str) -> Tensor:
+    success, best = as_flags(success), as_numbers(best)
     negative = best[best < 0]
     if negative.numel():
         raise ValueError(

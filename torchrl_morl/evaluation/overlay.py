@@ -12,6 +12,8 @@ from torch import Tensor
 
 from torchrl_morl._extras import from_extra
 
+from .arrays import as_tensor
+
 __all__ = ["BAR_COLORS", "draw_preference"]
 
 BAR_COLORS: tuple[tuple[int, int, int], ...] = (
@@ -107,12 +109,12 @@ def draw_preference(frames: Tensor, preference: Tensor, names: Sequence[str]) ->
         torch.Size([2, 120, 200, 3])
 
     """
-    names = tuple(names)
+    names, frames, preference = tuple(names), as_tensor(frames), as_tensor(preference)
     if frames.dtype != torch.uint8 or frames.ndim < 3 or frames.shape[-1] != 3:
         raise ValueError(
             f"frames must be uint8 [*B, H, W, 3], got {frames.dtype} {list(frames.shape)}."
         )
-    preference = torch.as_tensor(preference).detach().cpu().double()
+    preference = preference.detach().cpu().double()
     if not names or preference.ndim == 0 or preference.shape[-1] != len(names):
         raise ValueError(
             f"preference must have one entry for each of the names {names}, got shape "

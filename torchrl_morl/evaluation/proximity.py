@@ -11,6 +11,8 @@ from torch import Tensor
 
 from torchrl_morl.geometry import point_box_distance
 
+from .arrays import as_flags, as_numbers
+
 __all__ = [
     "min_clearance",
     "min_human_distance",
@@ -39,7 +41,8 @@ def min_human_distance(position: Tensor, human: Tensor, mask: Tensor) -> Tensor:
         >>> min_human_distance(position, human, torch.tensor([True, True, False]))
         tensor(1.4142)
     """
-    return _smallest((position - human).norm(dim=-1), mask)
+    distance = (as_numbers(position) - as_numbers(human)).norm(dim=-1)
+    return _smallest(distance, mask)
 
 
 def min_surface_distance(
@@ -96,6 +99,7 @@ def personal_space_compliance(
         >>> personal_space_compliance(position, human, torch.ones(4).bool())
         tensor(0.7500)
     """
+    position, human, mask = as_numbers(position), as_numbers(human), as_flags(mask)
     distance = (position - human).norm(dim=-1)
     kept = (distance >= threshold).to(distance.dtype).masked_fill(distance.isnan(), torch.nan)
     return kept.masked_fill(~mask, 0.0).sum(-1) / mask.sum(-1)
@@ -126,6 +130,7 @@ def space_violations(
         >>> space_violations(position, human, torch.ones(4).bool())
         tensor(2.)
     """
+    position, human, mask = as_numbers(position), as_numbers(human), as_flags(mask)
     distance = (position - human).norm(dim=-1)
     inside = (distance < threshold) & mask
     before = torch.cat((torch.zeros_like(inside[..., :1]), inside[..., :-1]), dim=-1)
@@ -167,6 +172,7 @@ def min_time_to_collision(
         >>> min_time_to_collision(position, human, torch.ones(4).bool(), 0.5, 0.2, 0.3)
         tensor(1.5000)
     """
+    position, human, mask = as_numbers(position), as_numbers(human), as_flags(mask)
     offset = human - position
     gap = offset.square().sum(-1) - (radius + human_radius) ** 2
     velocity = offset.diff(dim=-2) / dt
@@ -205,6 +211,7 @@ def min_clearance(position: Tensor, boxes: Tensor, mask: Tensor, radius: float) 
         >>> min_clearance(position, boxes, torch.ones(3).bool(), radius=0.2)
         tensor(0.5500)
     """
+    position, boxes = as_numbers(position), as_numbers(boxes)
     if not boxes.shape[-2]:
         return torch.full_like(position[..., 0, 0], torch.nan)
     distance = point_box_distance(position.unsqueeze(-2), boxes.unsqueeze(-3)).amin(-1)
@@ -213,5 +220,6 @@ def min_clearance(position: Tensor, boxes: Tensor, mask: Tensor, radius: float) 
 
 def _smallest(value: Tensor, mask: Tensor) -> Tensor:
     """Minimum over the points ``[*B, T]`` that count; NaN if there is none."""
+    mask = as_flags(mask)
     smallest = value.masked_fill(~mask, torch.inf).amin(-1)
     return smallest.masked_fill(~mask.any(-1), torch.nan)

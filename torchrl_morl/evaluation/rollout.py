@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
+from numpy.typing import ArrayLike
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from .arrays import as_flags, as_numbers
 
 __all__ = ["episode_mask", "rollout_preferences"]
 
@@ -23,6 +26,7 @@ def episode_mask(done: Tensor) -> Tensor:
         >>> episode_mask(torch.tensor([False, True, True]).unsqueeze(-1))
         tensor([ True,  True, False])
     """
+    done = as_flags(done)
     ended = done.squeeze(-1).cumsum(-1)
     return (ended - done.squeeze(-1).to(ended.dtype)) == 0
 
@@ -31,7 +35,7 @@ def episode_mask(done: Tensor) -> Tensor:
 def rollout_preferences(
     env: EnvBase,
     policy: TensorDictModuleBase,
-    preferences: Tensor,
+    preferences: Tensor | ArrayLike,
     *,
     max_steps: int,
     seed: int,
@@ -47,7 +51,7 @@ def rollout_preferences(
     Args:
         env: an environment of batch size ``[N]`` that honours ``preference_key`` at reset.
         policy: acts deterministically; on any device.
-        preferences: ``[P, T]``.
+        preferences: ``[P, T]``, a tensor, a NumPy array or nested lists.
 
     Keyword Args:
         max_steps: longest episode.
@@ -60,12 +64,33 @@ def rollout_preferences(
         A tensordict of batch size ``[P, N, S]``, ``S`` the longest episode found, with ``mask``
         ``[P, N, S]`` marking the steps that belong to each (first) episode. Shorter rollouts are
         padded with their zeros and a false mask.
+
+    Raises:
+        ValueError: if the preferences are no table with at least one row, or not valid.
+
+    Examples:
+        >>> from tensordict.nn import TensorDictModule
+        >>> from torchrl.envs import TransformedEnv
+        >>> from torchrl_morl.preferences import PreferenceSpace
+        >>> from torchrl_morl.testing import VectorRewardMockEnv
+        >>> from torchrl_morl.transforms import PreferenceSampler
+        >>> sampler = PreferenceSampler(PreferenceSpace(("right", "left")))
+        >>> env = TransformedEnv(VectorRewardMockEnv(2, batch_size=(4,)), sampler)
+        >>> policy = TensorDictModule(lambda p: p, in_keys=["preference"], out_keys=["action"])
+        >>> data = rollout_preferences(env, policy, [[1, 0], [0.5, 0.5]], max_steps=3, seed=0)
+        >>> data["next", "reward"].shape
+        torch.Size([2, 4, 3, 2])
     """
+    preferences = as_numbers(preferences).to(torch.get_default_dtype())
+    if preferences.ndim != 2 or not len(preferences):
+        raise ValueError(
+            f"preferences must have shape [P, T], one a row, got {list(preferences.shape)}."
+        )
     result, lengths = None, []
     for index, preference in enumerate(preferences):
         env.set_seed(seed)
         start = TensorDict(batch_size=env.batch_size, device=env.device)
-        start.set(preference_key, preference.expand(*env.batch_size, -1).clone())
+        start.set(preference_key, preference.to(env.device).expand(*env.batch_size, -1).clone())
         with set_exploration_type(ExplorationType.DETERMINISTIC):
             rollout = env.rollout(
                 max_steps,

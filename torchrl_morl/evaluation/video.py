@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
+import torch
 from torch import Tensor
 from torchrl.record import CSVLogger
 
 from torchrl_morl._extras import from_extra
+
+from .arrays import as_tensor
 
 __all__ = ["VideoLogger", "write_video"]
 
@@ -35,7 +38,8 @@ def write_video(path: str | Path, frames: Tensor, *, fps: float = 10.0) -> Path:
     path = Path(path)
     if path.suffix not in (".mp4", ".gif"):
         raise ValueError(f"The suffix must be .mp4 or .gif, got {path.name!r}.")
-    if str(frames.dtype) != "torch.uint8" or frames.ndim != 4 or frames.shape[-1] != 3:
+    frames = as_tensor(frames)
+    if frames.dtype != torch.uint8 or frames.ndim != 4 or frames.shape[-1] != 3:
         raise ValueError(
             f"frames must be uint8 [T, H, W, 3], got {frames.dtype} {list(frames.shape)}."
         )

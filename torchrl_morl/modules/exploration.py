@@ -5,10 +5,13 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from tensordict.utils import NestedKey
+from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
+
+from torchrl_morl.generators import generator_from, generator_state, rand
+from torchrl_morl.representation import describe
 
 __all__ = ["HeldEGreedyModule"]
 
@@ -23,7 +26,8 @@ class HeldEGreedyModule(TensorDictModuleBase):
     of noisy steps in the long run, so levels mean the same as for white noise; ``hold=1`` is white
     noise.
 
-    What is left of a hold travels in the tensordict, from step to step.
+    What is left of a hold travels in the tensordict, from step to step, as ``held_action`` and
+    ``held_steps`` beside the action.
 
     Args:
         spec: of one action; random actions are ``spec.rand()``.
@@ -32,7 +36,8 @@ class HeldEGreedyModule(TensorDictModuleBase):
 
     Keyword Args:
         action_key: the action ``[*B, A]`` that is replaced.
-        seed: of the module's own generator; the global one of torch if ``None``.
+        seed: of the module's own generator, whose state is in the state dict; the global one of torch
+            if ``None``.
 
     Raises:
         ValueError: for ``eps`` outside of [0, 1] or ``hold`` below 1.
@@ -66,14 +71,35 @@ class HeldEGreedyModule(TensorDictModuleBase):
             raise ValueError(f"hold must be at least 1 step, got {hold}.")
         self.spec = spec
         self.eps, self.hold = eps, hold
-        self.action_key = action_key
-        self.in_keys = [action_key]
-        self.out_keys = [action_key, "held_action", "held_steps"]
+        self.action_key = unravel_key(action_key)
+        # Beside the action, so that several agents each hold their own.
+        group = self.action_key[:-1] if isinstance(self.action_key, tuple) else ()
+        self._held_action = unravel_key((*group, "held_action"))
+        self._held_steps = unravel_key((*group, "held_steps"))
+        self.in_keys = [self.action_key]
+        self.out_keys = [self.action_key, self._held_action, self._held_steps]
         self.generator = None if seed is None else torch.Generator().manual_seed(seed)
+
+    def __repr__(self) -> str:
+        return describe(
+            self,
+            eps=self.eps,
+            hold=self.hold,
+            action_key=self.action_key,
+            seed=None if self.generator is None else self.generator.initial_seed(),
+        )
+
+    def get_extra_state(self) -> Tensor:
+        """The state of the generator; empty if the global one is used."""
+        return generator_state(self.generator)
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Restore the state of the generator."""
+        self.generator = generator_from(state, self.generator)
 
     def _rand(self, shape: torch.Size) -> Tensor:
         low, high = self.spec.space.low, self.spec.space.high
-        unit = torch.rand(*shape, *low.shape, generator=self.generator).to(low.device)
+        unit = rand((*shape, *low.shape), self.generator).to(low.device)
         return low + (high - low) * unit
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -82,20 +108,20 @@ class HeldEGreedyModule(TensorDictModuleBase):
         if exploration_type() not in (ExplorationType.RANDOM, None):
             return tensordict
         action = tensordict.get(self.action_key)
-        shape = tensordict.batch_size
-        left = tensordict.get("held_steps", None)
-        held = tensordict.get("held_action", None)
+        shape = action.shape[: action.ndim - self.spec.ndim]
+        left = tensordict.get(self._held_steps, None)
+        held = tensordict.get(self._held_action, None)
         if left is None:
             left = torch.zeros(*shape, 1, dtype=torch.int64, device=action.device)
             held = torch.zeros_like(action)
         # Noisy stretches of `hold` steps alternate with pauses of mean length 1 / start - 1.
         start = self.eps / (self.hold * (1 - self.eps) + self.eps)
-        draw = torch.rand(*shape, 1, generator=self.generator).to(action.device)
+        draw = rand((*shape, 1), self.generator).to(action.device)
         begins = (left == 0) & (draw < start)
         held = torch.where(begins, self._rand(shape).to(action), held)
         left = torch.where(begins, self.hold, left)
         noisy = left > 0
         tensordict.set(self.action_key, torch.where(noisy, held, action))
-        tensordict.set("held_action", held)
-        tensordict.set("held_steps", (left - 1).clamp_min(0))
+        tensordict.set(self._held_action, held)
+        tensordict.set(self._held_steps, (left - 1).clamp_min(0))
         return tensordict

@@ -9,7 +9,9 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 from torchrl.data import Bounded, Composite, TensorSpec
-from torchrl.modules import MLP, TanhModule
+from torchrl.modules import TanhModule
+
+from torchrl_morl.modules.inputs import NamedInputsMLP, resolve_in_features
 
 __all__ = ["make_actor", "make_vector_critic", "saturated_fraction"]
 
@@ -50,8 +52,9 @@ class _ScaledLinear(_PreciseLinear):
 
 def make_actor(
     action_spec: TensorSpec,
+    observation_spec: Composite | None = None,
     *,
-    in_features: int,
+    in_features: int | None = None,
     in_keys: Sequence[NestedKey] = ("observation", "preference"),
     num_cells: Sequence[int] = (256, 256, 256, 256),
     activation_class: type[nn.Module] = nn.ReLU,
@@ -75,9 +78,10 @@ def make_actor(
     Args:
         action_spec (TensorSpec): a :class:`~torchrl.data.Bounded` spec, or a composite that holds
             one at ``out_key``. Batch dimensions are dropped; the bounds must agree across them.
+        observation_spec (Composite, optional): holds the inputs, which gives their sizes.
 
     Keyword Args:
-        in_features (int): the summed size of all inputs.
+        in_features (int, optional): the summed size of all inputs, instead of an observation spec.
         in_keys (Sequence[NestedKey]): the inputs, in the order of concatenation.
         num_cells (Sequence[int]): the sizes of the hidden layers.
         activation_class (type[nn.Module]): the activation of the hidden layers.
@@ -91,22 +95,26 @@ def make_actor(
         A module that reads ``in_keys`` and writes ``pre_tanh_key`` and ``out_key``.
 
     Raises:
-        ValueError: if the action spec is not bounded, or has different bounds within the batch.
+        ValueError: if the action spec is not bounded, or has different bounds within the batch; if
+            the sizes of the inputs do not follow from the spec; at a call, for inputs of another size
+            or precision.
 
     Example:
-        >>> import torch
-        >>> from tensordict import TensorDict
-        >>> from torchrl.data import Bounded
-        >>> actor = make_actor(Bounded(0.0, 0.5, (2,)), in_features=4 + 3, num_cells=(16,))
-        >>> data = TensorDict(
-        ...     observation=torch.randn(5, 4), preference=torch.rand(5, 3), batch_size=5
-        ... )
-        >>> actor(data)["action"].shape
-        torch.Size([5, 2])
+        >>> from torchrl.envs import TransformedEnv
+        >>> from torchrl_morl.preferences import PreferenceSpace
+        >>> from torchrl_morl.testing import VectorRewardMockEnv
+        >>> from torchrl_morl.transforms import PreferenceSampler
+        >>> sampler = PreferenceSampler(PreferenceSpace(("left", "ahead", "right")))
+        >>> env = TransformedEnv(VectorRewardMockEnv(3, batch_size=(4,)), sampler)
+        >>> actor = make_actor(env.action_spec, env.observation_spec, num_cells=(16,))
+        >>> env.rollout(5, actor)["action"].shape
+        torch.Size([4, 5, 2])
 
     """
+    in_features = resolve_in_features(in_features, in_keys, observation_spec)
     low, high = _action_bounds(action_spec, out_key)
-    mlp = MLP(
+    mlp = NamedInputsMLP(
+        in_keys,
         in_features=in_features,
         out_features=low.shape[-1],
         num_cells=list(num_cells),
@@ -126,13 +134,16 @@ def make_actor(
 
 def make_vector_critic(
     num_objectives: int,
+    observation_spec: Composite | None = None,
+    action_spec: TensorSpec | None = None,
     *,
-    in_features: int,
+    in_features: int | None = None,
     in_keys: Sequence[NestedKey] = ("observation", "preference", "action"),
     num_cells: Sequence[int] = (256, 256, 256, 256),
     activation_class: type[nn.Module] = nn.ReLU,
     layer_norm: bool = True,
     out_key: NestedKey = "state_action_value",
+    action_key: NestedKey = "action",
     device: torch.device | str | None = None,
 ) -> TensorDictModule:
     """Build a critic ``(state, preference, action) -> R^K`` with one value per objective.
@@ -145,9 +156,12 @@ def make_vector_critic(
 
     Args:
         num_objectives (int): the length ``K`` of the reward vector.
+        observation_spec (Composite, optional): holds the inputs other than the action, which gives
+            their sizes.
+        action_spec (TensorSpec, optional): gives the size of the action, if that is an input.
 
     Keyword Args:
-        in_features (int): the summed size of all inputs.
+        in_features (int, optional): the summed size of all inputs, instead of specs.
         in_keys (Sequence[NestedKey]): the inputs, in the order of concatenation. They may hold keys
             that the actor does not see.
         num_cells (Sequence[int]): the sizes of the hidden layers.
@@ -155,32 +169,38 @@ def make_vector_critic(
         layer_norm (bool): put a :class:`~torch.nn.LayerNorm` before every activation, which steadies
             off-policy critics.
         out_key (NestedKey): where the values are written.
+        action_key (NestedKey): the input whose size ``action_spec`` gives.
         device (torch.device, optional): where the parameters live.
 
     Returns:
         A module that reads ``in_keys`` and writes ``out_key`` of shape ``[*B, K]``.
 
     Raises:
-        ValueError: if ``num_objectives`` is not positive.
+        ValueError: if ``num_objectives`` is not positive, or if the sizes of the inputs do not follow
+            from the specs; at a call, for inputs of another size or precision.
 
     Example:
-        >>> import torch
-        >>> from tensordict import TensorDict
-        >>> critic = make_vector_critic(4, in_features=6 + 3 + 2, num_cells=(16,))
-        >>> data = TensorDict(
-        ...     observation=torch.randn(5, 6),
-        ...     preference=torch.rand(5, 3),
-        ...     action=torch.rand(5, 2),
-        ...     batch_size=5,
+        >>> from torchrl.envs import TransformedEnv
+        >>> from torchrl_morl.preferences import PreferenceSpace
+        >>> from torchrl_morl.testing import VectorRewardMockEnv
+        >>> from torchrl_morl.transforms import PreferenceSampler
+        >>> space = PreferenceSpace(("left", "ahead", "right"))
+        >>> env = TransformedEnv(VectorRewardMockEnv(3), PreferenceSampler(space))
+        >>> critic = make_vector_critic(
+        ...     space.num_objectives, env.observation_spec, env.action_spec, num_cells=(16,)
         ... )
-        >>> critic(data)["state_action_value"].shape
-        torch.Size([5, 4])
+        >>> critic(env.rollout(5))["state_action_value"].shape
+        torch.Size([5, 3])
 
     """
+    in_features = resolve_in_features(
+        in_features, in_keys, observation_spec, action_spec, action_key
+    )
     if num_objectives < 1:
         raise ValueError(f"num_objectives must be positive, got {num_objectives}.")
     num_cells = list(num_cells)
-    mlp = MLP(
+    mlp = NamedInputsMLP(
+        in_keys,
         in_features=in_features,
         out_features=num_objectives,
         num_cells=num_cells,

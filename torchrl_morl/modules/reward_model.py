@@ -8,8 +8,9 @@ import torch
 from tensordict.nn import TensorDictModule
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
-from torchrl.modules import MLP
+from torchrl.data import Composite, TensorSpec
 
+from torchrl_morl.modules.inputs import NamedInputsMLP, resolve_in_features
 from torchrl_morl.modules.networks import _ScaledLinear, keep_precision
 
 __all__ = ["RewardModel"]
@@ -33,8 +34,13 @@ class RewardModel(TensorDictModule):
     The parameters are created at once (no lazy layers). Keys of the state dict, with ``n`` hidden
     layers and for each member ``m``: ``module.members.{m}.{0, 2, ..., 2n}.{weight, bias}``.
 
+    Args:
+        observation_spec (Composite, optional): holds the inputs other than the action, which gives
+            their sizes.
+        action_spec (TensorSpec, optional): gives the size of the action, if that is an input.
+
     Keyword Args:
-        in_features (int): the summed size of all inputs.
+        in_features (int, optional): the summed size of all inputs, instead of specs.
         in_keys (Sequence[NestedKey]): the inputs of shape ``[*B, F_i]``, in the order of
             concatenation.
         num_cells (Sequence[int]): the sizes of the hidden layers.
@@ -43,10 +49,12 @@ class RewardModel(TensorDictModule):
         num_members (int): the number ``M`` of networks, each with its own initialisation. They are
             trained jointly, through their mean.
         last_layer_gain (float): factor on the initial weights of the last layers.
+        action_key (NestedKey): the input whose size ``action_spec`` gives.
         device (torch.device, optional): where the parameters live.
 
     Raises:
-        ValueError: if there is less than one member.
+        ValueError: if there is less than one member, or if the sizes of the inputs do not follow from
+            the specs; at a call, for inputs of another size or precision.
 
     Example:
         >>> import torch
@@ -61,21 +69,28 @@ class RewardModel(TensorDictModule):
 
     def __init__(
         self,
+        observation_spec: Composite | None = None,
+        action_spec: TensorSpec | None = None,
         *,
-        in_features: int,
+        in_features: int | None = None,
         in_keys: Sequence[NestedKey] = ("observation", "action"),
         num_cells: Sequence[int] = (256, 256, 256, 256),
         activation_class: type[nn.Module] = nn.ReLU,
         out_key: NestedKey = "demo_score",
         num_members: int = 1,
         last_layer_gain: float = 0.01,
+        action_key: NestedKey = "action",
         device: torch.device | str | None = None,
     ) -> None:
         if num_members < 1:
             raise ValueError(f"num_members must be at least 1, got {num_members}.")
+        in_features = resolve_in_features(
+            in_features, in_keys, observation_spec, action_spec, action_key
+        )
         members = []
         for _ in range(num_members):
-            mlp = MLP(
+            mlp = NamedInputsMLP(
+                in_keys,
                 in_features=in_features,
                 out_features=1,
                 num_cells=list(num_cells),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from tensordict import TensorDict, TensorDictBase, TensorDictParams
@@ -13,7 +14,12 @@ from torch import Tensor
 from torch.nn import functional as F
 from torchrl.objectives import LossModule
 
+from torchrl_morl.objectives.network_output import read_output
+from torchrl_morl.representation import describe
+
 __all__ = ["BradleyTerryLoss"]
+
+_Reduction = Literal["mean", "sum", "none"]
 
 
 class BradleyTerryLoss(LossModule):
@@ -57,9 +63,11 @@ class BradleyTerryLoss(LossModule):
     - ``margin`` ``[]``: mean over pairs of the difference in R per step. Detached.
 
     Raises:
-        ValueError: at construction for a ``beta`` that is not positive or a ``label_smoothing``
-            outside of [0, 1); at the call if snippets differ in length. A sum over unequal lengths
-            would learn that long is good, or bad.
+        ValueError: at construction for a ``beta`` that is not positive and finite, a
+            ``label_smoothing`` outside of [0, 1) or an unknown ``reduction``; at the call if the network
+            writes more than one reward per step, or if snippets differ in length. A sum over unequal
+            lengths would learn that long is good, or bad.
+        KeyError: at the call if the network writes another key than ``score``; see :meth:`set_keys`.
 
     Example:
         >>> import torch
@@ -106,12 +114,14 @@ class BradleyTerryLoss(LossModule):
         *,
         beta: float | None = None,
         label_smoothing: float = 0.0,
-        reduction: Literal["mean", "sum", "none"] = "mean",
+        reduction: _Reduction = "mean",
     ) -> None:
-        if beta is not None and not beta > 0:
-            raise ValueError(f"beta must be positive, got {beta}.")
+        if beta is not None and not 0 < beta < math.inf:
+            raise ValueError(f"beta must be positive and finite, got {beta}.")
         if not 0 <= label_smoothing < 1:
             raise ValueError(f"label_smoothing must be in [0, 1), got {label_smoothing}.")
+        if reduction not in get_args(_Reduction):
+            raise ValueError(f"reduction must be one of {get_args(_Reduction)}, got {reduction!r}.")
         super().__init__()
         self.convert_to_functional(reward_network, "reward_network", create_target_params=False)
         self.beta = beta
@@ -127,6 +137,15 @@ class BradleyTerryLoss(LossModule):
     @in_keys.setter
     def in_keys(self, keys: list[NestedKey]) -> None:
         raise RuntimeError("in_keys follow from the network; use set_keys for preferred and other.")
+
+    def __repr__(self) -> str:
+        return describe(
+            self,
+            beta="5 / L" if self.beta is None else self.beta,
+            label_smoothing=self.label_smoothing,
+            reduction=self.reduction,
+            reward_network=self.reward_network,
+        )
 
     def _forward_value_estimator_keys(self, **kwargs) -> None:
         # There is no value estimator whose keys would have to follow.
@@ -159,7 +178,14 @@ class BradleyTerryLoss(LossModule):
         # One pass of the network over both.
         both = torch.stack([preferred, other])
         with self.reward_network_params.to_module(self.reward_network, preserve_module_state=False):
-            score = self.reward_network(both).get(self.tensor_keys.score)
+            scored = self.reward_network(both)
+        key = self.tensor_keys.score
+        score = read_output(scored, key, "score", "reward network", self.reward_network)
+        if score.shape != (*both.shape, 1):
+            raise ValueError(
+                f"the reward network writes {key!r} of shape {list(score.shape[1:])} for snippets of "
+                f"shape {list(preferred.shape)}: one reward per step is {[*preferred.shape, 1]}."
+            )
         total = score.squeeze(-1).sum(-1)
         difference = total[0] - total[1]
         beta = 5 / length if self.beta is None else self.beta

@@ -12,6 +12,8 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.objectives.value import GAE
 
+from torchrl_morl.representation import describe
+
 if TYPE_CHECKING:
     from torchrl_morl.preferences import PreferenceSpace
 
@@ -184,7 +186,20 @@ class MultiObjectiveGAE(GAE):
         return reward, done.expand_as(value), terminated.expand_as(value)
 
     def _broadcast_optional(self, tensor: Tensor, value: Tensor) -> Tensor:
+        if tensor.ndim < value.ndim:
+            tensor = tensor.unsqueeze(-1)
         return tensor.expand_as(value)
+
+    def __repr__(self) -> str:
+        return describe(
+            self,
+            gamma=float(self.gamma),
+            lmbda=float(self.lmbda),
+            preference_space=self.preference_space,
+            level_preferences=self.level_preferences,
+            average_gae=self.average,
+            value_network=self.value_network,
+        )
 
 
 def _size(advantage: Tensor, preference: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -11,10 +12,12 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.objectives import TD3Loss
-from torchrl.objectives.utils import _cache_values, distance_loss
+from torchrl.objectives.utils import distance_loss
 
 from torchrl_morl.modules import PreferenceInterpolator, ValueSpace, saturated_fraction
 from torchrl_morl.objectives.angle import angle_between
+from torchrl_morl.objectives.network_output import read_output
+from torchrl_morl.representation import describe
 
 if TYPE_CHECKING:
     from torchrl_morl.preferences import PreferenceSpace
@@ -54,7 +57,8 @@ class MOTD3Loss(TD3Loss):
     - ``angle="raw"``: the raw values, in degrees, as in the code of PD-MORL, where the
       interpolator has ``value_space="raw"`` too. No gradient at obtuse angles, hence none for penalties.
 
-    Inputs that only one of the networks reads are supported. At the next state every input comes from
+    Rewards of several steps, as :class:`~torchrl.envs.MultiStepTransform` sums them, are discounted
+    by ``steps_to_next_obs``. Inputs that only one of the networks reads are supported. At the next state every input comes from
     ``"next"``; what is missing there, such as a preference that is stored once, carries over from the
     root.
 
@@ -68,8 +72,9 @@ class MOTD3Loss(TD3Loss):
         preference_space (PreferenceSpace, optional): tells which objectives the preference weighs.
             Defaults to ``None``: all of them, the weights are the preference.
         interpolator (PreferenceInterpolator, optional): the direction of a preference and the
-            normalised space. Needed by both forms of the angle; for the raw preference as direction
-            give it ``identity=True``. It is part of the state dict, but never trained.
+            normalised space. Needed by both forms of the angle, with the ``value_space`` of that
+            name; for the raw preference as direction give it ``identity=True``. It is part of the
+            state dict, but never trained.
         angle (str, optional): ``"normalized"``, ``"raw"`` or ``None`` (default) for no angle.
         angle_coeff_actor (float): :math:`c_\mathrm{actor}`. Defaults to 0.0, which only measures
             the angle. PD-MORL uses 10 on returns of hundreds; its gradient is in inverse units of Q.
@@ -87,7 +92,8 @@ class MOTD3Loss(TD3Loss):
     The three coefficients are buffers: ``loss.angle_coeff_actor = 0.5`` schedules them in place.
 
     Keys read, besides those of the networks: ``action``, ``preference`` ``[*B, T]``, ``("next",
-    "reward")`` ``[*B, K]``, ``("next", "done")`` and ``("next", "terminated")`` ``[*B, 1]``. Keys
+    "reward")`` ``[*B, K]``, ``("next", "done")`` and ``("next", "terminated")`` ``[*B, 1]``, and, if
+    they are there, ``priority_weight`` ``[*B]`` and ``steps_to_next_obs`` ``[*B]`` or ``[*B, 1]``. Keys
     written: the priority (``"td_error"``) ``[*B]``, into the input of ``forward``.
 
     Metadata, detached, under the names in ``out_keys`` (``N`` critics):
@@ -183,9 +189,14 @@ class MOTD3Loss(TD3Loss):
             "angle_coeff_critic": float(angle_coeff_critic),
             "pre_tanh_coeff": float(pre_tanh_coeff),
         }
-        for name, value in coefficients.items():
-            if value < 0:
-                raise ValueError(f"{name} must not be negative, got {value}.")
+        noise = {
+            name: float(td3_kwargs[name])
+            for name in ("policy_noise", "noise_clip")
+            if name in td3_kwargs
+        }
+        for name, value in (coefficients | noise).items():
+            if not 0 <= value < math.inf:
+                raise ValueError(f"{name} must not be negative and must be finite, got {value}.")
         if target_selection not in get_args(_TargetSelection):
             raise ValueError(
                 f"target_selection must be one of {get_args(_TargetSelection)}, "
@@ -198,7 +209,13 @@ class MOTD3Loss(TD3Loss):
         if angle is not None and interpolator is None:
             raise ValueError(
                 f"angle={angle!r} needs an interpolator; for the raw preference give it "
-                "PreferenceInterpolator(torch.eye(T), identity=True)."
+                f"PreferenceInterpolator(torch.eye(T), identity=True, value_space={angle!r})."
+            )
+        if angle is not None and interpolator.value_space != angle:
+            raise ValueError(
+                f"angle={angle!r} compares {angle} values with directions in the "
+                f"{interpolator.value_space} space of the interpolator: give it "
+                f"value_space={angle!r}."
             )
         if interpolator is not None and preference_space is not None:
             have, want = interpolator.num_tunable, preference_space.num_tunable
@@ -230,6 +247,9 @@ class MOTD3Loss(TD3Loss):
             "q_scale",
         ]
         self._set_in_keys()
+        # TorchRL makes it at the first call, so that a loss that has been called has a state dict that
+        # a new one refuses (as in https://github.com/pytorch/rl/issues/1594).
+        self.make_value_estimator()
 
     def _set_in_keys(self) -> None:
         keys = self.tensor_keys
@@ -242,10 +262,46 @@ class MOTD3Loss(TD3Loss):
         in_keys = [keys.action, *self._state_keys, *(("next", key) for key in next_keys)]
         self._in_keys = list(dict.fromkeys(unravel_key(key) for key in in_keys))
 
-    @property
-    @_cache_values
-    def _cached_first_qvalue_network_params(self) -> TensorDictBase:
+    def _first_critic(self) -> TensorDictBase:
+        # TD3Loss keeps its detached critics in a cache from the first call on (since TorchRL's
+        # https://github.com/pytorch/rl/pull/1272). A deep copy copies them as tensors of their own, and
+        # then trains its actor against a critic that never changes. Not kept here, where it would save
+        # a fortieth of the actor's loss; compiled, TorchRL does without, too.
         return self.qvalue_network_params.detach()[0]
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What vmap made of the networks knows those of this very loss, and cannot be pickled.
+        return {
+            name: value
+            for name, value in self.__dict__.items()
+            if name not in ("_vmap_qvalue_network00", "_vmap_actor_network00")
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        self._make_vmap()
+
+    def __repr__(self) -> str:
+        coefficients = {
+            name: float(getattr(self, name)) for name in sorted(self._schedulable_buffers)
+        }
+        return describe(
+            self,
+            preference_space=self.preference_space,
+            angle=self.angle,
+            **coefficients,
+            target_selection=self.target_selection,
+            interpolator=self.interpolator,
+            loss_function=self.loss_function,
+            policy_noise=float(self.policy_noise),
+            noise_clip=float(self.noise_clip),
+            delay_actor=self.delay_actor,
+            delay_qvalue=self.delay_qvalue,
+            reduction=self.reduction,
+            num_qvalue_nets=self.num_qvalue_nets,
+            qvalue_network=self.qvalue_network,
+            actor_network=self.actor_network,
+        )
 
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """Loss of the actor and its metadata; evaluates the first critic only, without training it.
@@ -266,12 +322,10 @@ class MOTD3Loss(TD3Loss):
         with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
             td = self.actor_network(td)
         pre_tanh = td.get(self.tensor_keys.pre_tanh, None)
-        action = td.get(self.tensor_keys.action)
-        with self._cached_first_qvalue_network_params.to_module(
-            self.qvalue_network, preserve_module_state=False
-        ):
+        action = self._action_of(td)
+        with self._first_critic().to_module(self.qvalue_network, preserve_module_state=False):
             critic_td = self.qvalue_network(td.select(*self.qvalue_network.in_keys, strict=False))
-        qvalue = critic_td.get(self.tensor_keys.state_action_value)
+        qvalue = self._value_of(critic_td)
         utility = self._utility(self._weights(preference), qvalue)
         loss_actor = -utility
         metadata = {
@@ -353,7 +407,7 @@ class MOTD3Loss(TD3Loss):
             self.actor_network, preserve_module_state=False
         ):
             next_td = self.actor_network(next_td)
-        next_action = next_td.get(self.tensor_keys.action) + noise
+        next_action = self._action_of(next_td) + noise
         next_td.set(self.tensor_keys.action, next_action.clamp(self.min_action, self.max_action))
         next_td = next_td.select(*self.qvalue_network.in_keys, strict=False)
         qvalues = self._all_qvalues(next_td, self.target_qvalue_network_params)
@@ -378,22 +432,31 @@ class MOTD3Loss(TD3Loss):
         for key in (("next", keys.done), ("next", keys.terminated), steps_key):
             value = tensordict.get(key, None)
             if value is not None:
+                if value.ndim < reward.ndim:
+                    # MultiStepTransform writes its steps as [*B], flags are [*B, 1].
+                    value = value.unsqueeze(-1)
                 tensordict.set(key, value.expand_as(reward))
         tensordict.set(("next", keys.state_action_value), next_qvalue)
         return self.value_estimator.value_estimate(tensordict).detach()
 
     def _all_qvalues(self, td: TensorDictBase, params: TensorDictBase) -> Tensor:
         """Values ``[N, *B, K]`` of all critics."""
-        key = self.tensor_keys.state_action_value
         if not self.deactivate_vmap:
             td = td.expand(self.num_qvalue_nets, *td.batch_size)
-            return self._vmap_qvalue_network00(td, params).get(key)
+            return self._value_of(self._vmap_qvalue_network00(td, params))
         # TorchRL's pseudo-vmap, its own way without vmap, breaks the graph of torch.compile.
         values = []
         for critic in params.unbind(0):
             with critic.to_module(self.qvalue_network, preserve_module_state=False):
-                values.append(self.qvalue_network(td.copy()).get(key))
+                values.append(self._value_of(self.qvalue_network(td.copy())))
         return torch.stack(values)
+
+    def _value_of(self, td: TensorDictBase) -> Tensor:
+        key = self.tensor_keys.state_action_value
+        return read_output(td, key, "state_action_value", "critic", self.qvalue_network)
+
+    def _action_of(self, td: TensorDictBase) -> Tensor:
+        return read_output(td, self.tensor_keys.action, "action", "actor", self.actor_network)
 
     def _weights(self, preference: Tensor) -> Tensor:
         """Weights ``[*B, K]`` of all objectives."""

@@ -10,6 +10,8 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
+from torchrl_morl.representation import describe
+
 __all__ = ["CheckFinite", "check_finite"]
 
 
@@ -55,8 +57,9 @@ def check_finite(data: TensorDictBase | Mapping[str, Tensor], keys: Sequence[Nes
 class CheckFinite(Transform):
     """Stop at the first observation that is NaN or infinite, and say which one it is.
 
-    In an environment it checks what ``reset`` and ``step`` return; place it before transforms that
-    mix keys, so that the message names the sensor. As a module or in a replay buffer it checks what
+    In an environment it checks what ``reset`` and ``step`` return; a reset leaves out what only
+    steps have, such as rewards. Place it before transforms that mix keys, so that the message names
+    the sensor. As a module or in a replay buffer it checks what
     passes through; name the keys of both time steps there, e.g. ``in_keys=["scan", ("next",
     "scan")]``. Nothing is changed. TorchRL's :class:`~torchrl.envs.FiniteTensorDictCheck` checks
     every entry, and does not say which of them failed.
@@ -66,6 +69,7 @@ class CheckFinite(Transform):
 
     Raises:
         ValueError: if a value is not finite, see :func:`check_finite`.
+        KeyError: if a key is missing, in an environment at its first step.
 
     Example:
         >>> import torch
@@ -87,8 +91,11 @@ class CheckFinite(Transform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        # TorchRL does not run `_call` at reset.
-        return self._call(tensordict_reset)
+        # TorchRL does not run `_call` at reset. There is no reward yet; of a key that is never there
+        # the first step tells.
+        present = tensordict_reset.keys(include_nested=True)
+        check_finite(tensordict_reset, [key for key in self.in_keys if key in present])
+        return tensordict_reset
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Check a tensordict.
@@ -101,3 +108,6 @@ class CheckFinite(Transform):
 
         """
         return self._call(tensordict)
+
+    def __repr__(self) -> str:
+        return describe(self, in_keys=self.in_keys)

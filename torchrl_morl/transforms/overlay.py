@@ -13,6 +13,8 @@ from torchrl.envs.transforms import Transform
 
 from torchrl_morl.evaluation.overlay import draw_preference
 from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.representation import describe
+from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["PreferenceOverlay"]
 
@@ -67,7 +69,17 @@ class PreferenceOverlay(Transform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw into the pictures of data, for instance of a replay buffer."""
+        tensordict = apart_from_storage(tensordict)
         return self._draw(tensordict, tensordict)
+
+    def __repr__(self) -> str:
+        return describe(
+            self,
+            objectives=self.preference_space.tunable,
+            in_keys=self.in_keys,
+            out_keys=self.out_keys,
+            preference_key=self.preference_key,
+        )
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return self._remember(self._draw(next_tensordict, tensordict))

@@ -12,6 +12,9 @@ from tensordict.utils import NestedKey
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs.transforms import ObservationTransform
 
+from torchrl_morl.representation import describe
+from torchrl_morl.transforms.stored import apart_from_storage
+
 __all__ = ["PolarFeatures"]
 
 
@@ -79,10 +82,10 @@ class PolarFeatures(ObservationTransform):
             tensordict (TensorDictBase): holds the ``in_keys``.
 
         Returns:
-            The same tensordict with the ``out_keys``.
+            The same tensordict with the ``out_keys``; for a lazy stack, a shallow copy of it.
 
         """
-        return self._call(tensordict)
+        return self._call(apart_from_storage(tensordict))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -96,6 +99,9 @@ class PolarFeatures(ObservationTransform):
             spec = observation_spec[in_key]
             observation_spec[out_key] = self._features_spec(spec, scale)
         return observation_spec
+
+    def __repr__(self) -> str:
+        return describe(self, in_keys=self.in_keys, out_keys=self.out_keys, scale=self.scales)
 
     def _features_spec(self, spec: Bounded | Unbounded, scale: float) -> Bounded | Unbounded:
         kwargs = {"device": spec.device, "dtype": spec.dtype}

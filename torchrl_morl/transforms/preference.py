@@ -12,8 +12,11 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite
 from torchrl.envs.transforms import Transform
 
+from torchrl_morl.generators import generator_from, generator_state
 from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution, check_distribution
+from torchrl_morl.representation import describe
 from torchrl_morl.segments import PreferenceSegments
+from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["PreferenceSampler"]
 
@@ -43,18 +46,16 @@ class _RandomPreferences(Transform):
 
     def get_extra_state(self) -> Tensor:
         """The state of the generator; empty if the global one is used."""
-        if self.generator is None:
-            return torch.empty(0, dtype=torch.uint8)
-        return self.generator.get_state()
+        return generator_state(self.generator)
 
     def set_extra_state(self, state: Tensor) -> None:
         """Restore the state of the generator."""
-        if not state.numel():
-            self.generator = None
-            return
-        if self.generator is None:
-            self.generator = torch.Generator()
-        self.generator.set_state(state.cpu())
+        self.generator = generator_from(state, self.generator)
+
+    @property
+    def _seed(self) -> int | None:
+        """What the generator started from; ``None`` for the global one."""
+        return None if self.generator is None else self.generator.initial_seed()
 
     def _sample(self, shape: Sequence[int], like: Tensor) -> Tensor:
         # Drawn on the CPU, where the generator lives, so that one seed gives one stream on any
@@ -186,9 +187,11 @@ class PreferenceSampler(_RandomPreferences):
             tensordict (TensorDictBase): data of shape ``[*B]``.
 
         Returns:
-            The same tensordict; ``"next"``, if it is there, holds the preference of the root.
+            The same tensordict; ``"next"``, if it is there, holds the preference of the root. For a
+            lazy stack, a shallow copy of it.
 
         """
+        tensordict = apart_from_storage(tensordict)
         preference = tensordict.get(self.preference_key, None)
         if preference is None:
             preference = self._draw(tensordict)
@@ -196,6 +199,17 @@ class PreferenceSampler(_RandomPreferences):
             if "next" in tensordict:
                 tensordict.set(("next", self.preference_key), preference.clone())
         return tensordict
+
+    def __repr__(self) -> str:
+        settings = {"preference_space": self.preference_space}
+        if self.preferences is not None:
+            settings["preferences"] = self.preferences.tolist()
+        else:
+            settings["distribution"] = self.distribution
+            settings["seed"] = self._seed
+            if self.segments is not None:
+                settings["num_segments"] = self.segments.num_segments
+        return describe(self, **settings, preference_key=self.preference_key)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         # A clone, so that writing to the next preference in place cannot alter what is stored of

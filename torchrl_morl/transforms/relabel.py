@@ -7,13 +7,16 @@ change.
 from __future__ import annotations
 
 import torch
-from tensordict import LazyStackedTensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import TensorSpec
 
+from torchrl_morl.generators import rand
 from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution
+from torchrl_morl.representation import describe
 from torchrl_morl.transforms.preference import _RandomPreferences
+from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["PreferenceExpand", "PreferenceRelabel"]
 
@@ -38,15 +41,23 @@ class _HindsightPreferences(_RandomPreferences):
         self.preference_key = unravel_key(preference_key)
         self.next_key = unravel_key(("next", preference_key))
 
+    def _describe(self, **settings: float) -> str:
+        return describe(
+            self,
+            preference_space=self.preference_space,
+            **settings,
+            distribution=self.distribution,
+            seed=self._seed,
+            preference_key=self.preference_key,
+        )
+
     def transform_input_spec(self, input_spec: TensorSpec) -> TensorSpec:
         # Every environment asks for its specs before its first reset; replay buffers never do.
         raise RuntimeError(f"{type(self).__name__} is for replay buffers, not for environments.")
 
     def _replace(self, tensordict: TensorDictBase, mask: Tensor) -> TensorDictBase:
         """Draw one new preference for the root and "next" of every transition in the mask."""
-        if isinstance(tensordict, LazyStackedTensorDict):
-            # Its elements may be those of the storage, and one may be there several times.
-            tensordict = tensordict.clone(recurse=False)
+        tensordict = apart_from_storage(tensordict)
         current = tensordict[self.preference_key]
         mask = mask.to(current.device).unsqueeze(-1)
         drawn = self._sample(current.shape[:-1], like=current)
@@ -116,6 +127,9 @@ class PreferenceRelabel(_HindsightPreferences):
         super().__init__(preference_space, distribution, preference_key, seed)
         self.ratio = ratio
 
+    def __repr__(self) -> str:
+        return self._describe(ratio=self.ratio)
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Relabel a batch.
 
@@ -128,7 +142,7 @@ class PreferenceRelabel(_HindsightPreferences):
 
         """
         batch = tensordict[self.preference_key].shape[:-1]
-        mask = torch.rand(batch, generator=self.generator, device="cpu") < self.ratio
+        mask = rand(batch, self.generator, "cpu") < self.ratio
         return self._replace(tensordict, mask)
 
 
@@ -191,6 +205,9 @@ class PreferenceExpand(_HindsightPreferences):
             raise ValueError(f"copies must be at least 1, got {copies}.")
         super().__init__(preference_space, distribution, preference_key, seed)
         self.copies = copies
+
+    def __repr__(self) -> str:
+        return self._describe(copies=self.copies)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return what was sampled: the expansion took place when it was stored.

@@ -11,6 +11,8 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
 from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.representation import describe
+from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["ScalarizeReward"]
 
@@ -74,9 +76,11 @@ class ScalarizeReward(Transform):
                 rewards.
 
         Returns:
-            The same tensordict with the ``out_keys`` next to the ``in_keys``.
+            The same tensordict with the ``out_keys`` next to the ``in_keys``; for a lazy stack, a
+            shallow copy of it.
 
         """
+        tensordict = apart_from_storage(tensordict)
         weights = self.preference_space.weights(tensordict[self.preference_key])
         for in_key, out_key in zip(self.in_keys, self.out_keys):
             reward = tensordict.get(("next", in_key), None)
@@ -86,6 +90,15 @@ class ScalarizeReward(Transform):
                 out_key = unravel_key(("next", out_key))
             tensordict.set(out_key, self._scalarize(weights, reward))
         return tensordict
+
+    def __repr__(self) -> str:
+        return describe(
+            self,
+            preference_space=self.preference_space,
+            in_keys=self.in_keys,
+            out_keys=self.out_keys,
+            preference_key=self.preference_key,
+        )
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         weights = self.preference_space.weights(tensordict[self.preference_key])

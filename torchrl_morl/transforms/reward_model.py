@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from copy import deepcopy
 from typing import Self
 
@@ -12,6 +13,9 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
+
+from torchrl_morl.representation import describe
+from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["RewardModelReward"]
 
@@ -78,14 +82,24 @@ class RewardModelReward(Transform):
         written = [unravel_key(key) for key in reward_model.out_keys]
         if self.score_key not in written:
             raise ValueError(f"the reward model writes {written}, not {score_key!r}.")
-        if not scale > 0:
-            raise ValueError(f"scale must be positive, got {scale}.")
+        if not 0 < scale < math.inf:
+            raise ValueError(f"scale must be positive and finite, got {scale}.")
         if position < 0:
             raise ValueError(f"position must not be negative, got {position}.")
         self.position = position
         self.scale = scale
         # A copy: freezing the caller's model would end its training.
         self.reward_model = deepcopy(reward_model).eval().requires_grad_(False)
+
+    def __repr__(self) -> str:
+        return describe(
+            self,
+            reward_key=self.in_keys[0],
+            position=self.position,
+            scale=self.scale,
+            score_key=self.score_key,
+            reward_model=self.reward_model,
+        )
 
     def train(self, mode: bool = True) -> Self:
         super().train(mode)
@@ -100,9 +114,10 @@ class RewardModelReward(Transform):
                 or at the root, the rewards.
 
         Returns:
-            The same tensordict with the longer rewards.
+            The same tensordict with the longer rewards; for a lazy stack, a shallow copy of it.
 
         """
+        tensordict = apart_from_storage(tensordict)
         key = unravel_key(("next", self.in_keys[0]))
         if tensordict.get(key, None) is None:
             key = self.in_keys[0]
@@ -138,7 +153,13 @@ class RewardModelReward(Transform):
     @torch.no_grad()
     def _score(self, tensordict: TensorDictBase) -> Tensor:
         inputs = tensordict.select(*self.reward_model.in_keys)
-        return self.reward_model(inputs).get(self.score_key)
+        score = self.reward_model(inputs).get(self.score_key)
+        if score.shape[-1] != 1:
+            raise ValueError(
+                f"the reward model writes {self.score_key!r} of shape {list(score.shape)}: it must "
+                "end in 1, the one entry that is inserted."
+            )
+        return score
 
     def _insert(self, reward: Tensor, entry: Tensor) -> Tensor:
         self._check_size(reward.shape[-1])

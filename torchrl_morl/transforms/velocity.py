@@ -10,6 +10,9 @@ from tensordict.utils import NestedKey, unravel_key
 from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
+from torchrl_morl.representation import describe
+from torchrl_morl.transforms.stored import apart_from_storage
+
 __all__ = ["VelocityInFrame"]
 
 
@@ -77,11 +80,18 @@ class VelocityInFrame(Transform):
                 ``"next"``.
 
         Returns:
-            The same tensordict.
+            The same tensordict; for a lazy stack, a shallow copy of it.
 
         """
+        tensordict = apart_from_storage(tensordict)
         self._step(tensordict, tensordict.get("next"))
         return tensordict
+
+    def __repr__(self) -> str:
+        position, frame = self.in_keys
+        return describe(
+            self, in_key=position, frame_key=frame, out_key=self.out_keys[0], period=self.period
+        )
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         position, frame = self.in_keys

@@ -272,6 +272,27 @@ def test_preferences_off_the_simplex_are_refused():
         )
 
 
+@pytest.mark.parametrize("convert", [lambda p: p.tolist(), lambda p: p.double().numpy()])
+def test_preferences_as_lists_and_arrays(convert):
+    expected = rollout_preferences(
+        mock_env(), towards_preference(), SPACE.lattice(2), max_steps=3, seed=0
+    )
+    data = rollout_preferences(
+        mock_env(), towards_preference(), convert(SPACE.lattice(2)), max_steps=3, seed=0
+    )
+    assert (data == expected).all()
+    corners = rollout_preferences(
+        mock_env(), towards_preference(), [[1, 0], [0, 1]], max_steps=3, seed=0
+    )
+    assert torch.equal(corners["preference"][:, 0, 0], torch.eye(2))
+
+
+@pytest.mark.parametrize("preferences", [[0.5, 0.5], [], torch.zeros(0, 2)])
+def test_preferences_are_a_table(preferences):
+    with pytest.raises(ValueError, match=r"^preferences must have shape \[P, T\], one a row, got"):
+        rollout_preferences(mock_env(), towards_preference(), preferences, max_steps=3, seed=0)
+
+
 # --- plots
 
 

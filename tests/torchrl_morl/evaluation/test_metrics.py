@@ -7,11 +7,13 @@ import re
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from torchrl_morl.evaluation import (
     cumulative_heading_change,
+    discrete_frechet,
     intervals,
     mean_jerk,
     min_clearance,
@@ -21,6 +23,7 @@ from torchrl_morl.evaluation import (
     path_irregularity,
     path_length,
     personal_space_compliance,
+    resample_path,
     space_violations,
     spl,
     stalled_time,
@@ -182,3 +185,43 @@ def test_human_that_was_not_seen_is_not_far_away(metric):
     human[0, 2, 3] = math.nan
     assert metric(position, human, mask)[0, 2].isnan()
     assert not metric(position, human, mask)[0, 1].isnan()
+
+
+# --- recordings are NumPy arrays, or lists
+
+
+@every_metric
+def test_numpy_arrays_and_lists_give_the_same(metric):
+    expected = metric(*episodes())
+
+    def ask(convert):
+        # The table above makes other arguments from tensors.
+        position, human, heading, mask = (convert(x) for x in episodes())
+        name = next(name for name, function in METRICS.items() if function is metric)
+        success = convert(torch.ones(2, 3, dtype=torch.bool))
+        calls = {
+            "time_to_goal": lambda: time_to_goal(success, mask, 0.2),
+            "spl": lambda: spl(
+                success, position, mask, convert(torch.full((2, 3), 1.5, dtype=F64))
+            ),
+            "stl": lambda: stl(success, mask, 0.2, convert(torch.full((2, 3), 0.7, dtype=F64))),
+            "min_clearance": lambda: min_clearance(position, convert(BOXES), mask, radius=0.1),
+            "path_irregularity": lambda: path_irregularity(position, heading, mask, convert(GOAL)),
+        }
+        return calls.get(name, lambda: metric(position, human, heading, mask))()
+
+    for convert in (torch.Tensor.numpy, torch.Tensor.tolist):
+        torch.testing.assert_close(ask(convert), expected, check_dtype=False)
+
+
+def test_a_recording_as_it_comes():
+    # Whole metres, flags of 0 and 1, an array that nobody may write to, seen from its end.
+    way = np.array([[0, 0], [3, 4], [3, 5]])[::-1]
+    way.flags.writeable = False
+    assert path_length(way, [1, 1, 1]) == 6.0
+    assert path_length(way, [1, 1, 0]) == 1.0
+    assert time_to_goal([1, 0], [[1, 1, 1], [1, 1, 1]], 0.5).tolist()[0] == 1.0
+    assert discrete_frechet(way, [1, 1, 1], way + np.array([0, 2]), np.ones(3)) == 2.0
+    assert resample_path(way, [True] * 3, 7)[1].tolist() == [3.0, 4.0]
+    with pytest.raises(ValueError, match="rows differ in length: pad them"):
+        path_length([[[0, 0], [1, 0]], [[0, 0]]], [[1, 1], [1, 0]])

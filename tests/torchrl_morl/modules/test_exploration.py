@@ -177,3 +177,38 @@ def test_eps_must_be_a_share(eps):
 def test_hold_must_be_at_least_a_step(hold):
     with pytest.raises(ValueError, match="hold must be at least 1 step"):
         HeldEGreedyModule(SPEC, 0.1, hold)
+
+
+def test_agents_hold_their_own_actions():
+    noises = [
+        HeldEGreedyModule(SPEC, 0.5, 3, action_key=(name, "action"), seed=seed)
+        for seed, name in enumerate("ab")
+    ]
+    data = TensorDict(batch_size=[5])
+    with set_exploration_type(ExplorationType.RANDOM):
+        for _ in range(4):
+            for name, noise in zip("ab", noises):
+                data = noise(data.set((name, "action"), torch.full((5, 2), POLICY)))
+    for name, noise in zip("ab", noises):
+        assert set(noise.out_keys) == {(name, k) for k in ("action", "held_action", "held_steps")}
+        moving = data[name, "held_steps"].squeeze(-1) > 0
+        assert torch.equal(data[name, "action"][moving], data[name, "held_action"][moving])
+    assert not torch.equal(data["a", "held_action"], data["b", "held_action"])
+
+
+def test_any_batch_size_of_the_tensordict():
+    # The batch is that of the action: a tensordict may know less of it.
+    data = TensorDict(action=torch.full((3, 4, 2), POLICY), batch_size=[3])
+    out = HeldEGreedyModule(SPEC, 1.0, seed=0)(data)
+    assert out["held_steps"].shape == (3, 4, 1)
+    assert len(out["action"].flatten(0, 1).unique(dim=0)) == 12
+
+
+def test_the_generator_is_in_the_state_dict():
+    first, second = (HeldEGreedyModule(SPEC, 0.5, seed=seed) for seed in (0, 1))
+    drive(first, 5, 4)
+    second.load_state_dict(first.state_dict())
+    assert torch.equal(drive(first, 5, 4), drive(second, 5, 4))
+    without = HeldEGreedyModule(SPEC, 0.5)
+    second.load_state_dict(without.state_dict())
+    assert second.generator is None

@@ -7,9 +7,13 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 from torchrl.data import Bounded, Composite, Unbounded
+from torchrl.envs import DoubleToFloat, TransformedEnv
 from torchrl.modules import MLP
 
-from torchrl_morl.modules import make_actor, make_vector_critic, saturated_fraction
+from torchrl_morl.modules import RewardModel, make_actor, make_vector_critic, saturated_fraction
+from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.testing import VectorRewardMockEnv
+from torchrl_morl.transforms import PreferenceSampler
 
 LOW, HIGH = torch.tensor([0.0, -3.0]), torch.tensor([0.5, 3.0])
 
@@ -196,3 +200,127 @@ def test_bad_arguments():
         make_actor(spec, in_features=7)
     with pytest.raises(ValueError, match="num_objectives must be positive"):
         make_vector_critic(0, in_features=9)
+
+
+# --- Specs in, sizes out.
+
+WISHES = PreferenceSpace(("a", "b", "c"))
+
+
+def mock_env(batch_size=(4,), prefix=None) -> TransformedEnv:
+    key = "preference" if prefix is None else (prefix, "preference")
+    env = VectorRewardMockEnv(3, batch_size=batch_size, prefix=prefix)
+    return TransformedEnv(env, PreferenceSampler(WISHES, preference_key=key))
+
+
+@pytest.mark.parametrize("batch_size", [(), (4,), (2, 3)])
+@pytest.mark.parametrize("composite", [False, True])
+def test_sizes_follow_from_the_specs(batch_size, composite):
+    env = mock_env(batch_size)
+    action_spec = env.full_action_spec if composite else env.action_spec
+    actor = make_actor(action_spec, env.observation_spec, num_cells=(8,))
+    critic = make_vector_critic(3, env.observation_spec, action_spec, num_cells=(8,))
+    model = RewardModel(env.observation_spec, action_spec, num_cells=(8,))
+    assert actor[0].module[0].in_features == 2 + 3
+    assert critic.module[0].in_features == 2 + 3 + 2
+    assert model.in_features == 2 + 2
+    data = env.rollout(3, actor)
+    assert critic(data)["state_action_value"].shape == (*batch_size, 3, 3)
+    assert model(data)["demo_score"].shape == (*batch_size, 3, 1)
+
+
+def test_sizes_of_nested_keys():
+    env = mock_env(prefix="agent")
+    keys = [("agent", "observation"), ("agent", "preference")]
+    actor = make_actor(
+        env.full_action_spec, env.observation_spec, in_keys=keys, out_key=("agent", "action")
+    )
+    assert actor[0].module[0].in_features == 2 + 3
+    action = ("agent", "action")
+    for spec in (env.full_action_spec, env.action_spec):
+        critic = make_vector_critic(
+            3, env.observation_spec, spec, in_keys=[*keys, action], action_key=action
+        )
+        assert critic.module[0].in_features == 2 + 3 + 2
+
+
+def test_specs_and_sizes_that_do_not_do():
+    env = mock_env()
+    with pytest.raises(ValueError, match="give the specs of the environment or in_features=5: one"):
+        make_actor(env.action_spec, env.observation_spec, in_features=5)
+    with pytest.raises(ValueError, match="one of the two"):
+        make_vector_critic(3)
+    with pytest.raises(
+        ValueError, match=r"'action' is not in the specs, which have \['observation'"
+    ):
+        make_vector_critic(3, env.observation_spec)
+    bare = VectorRewardMockEnv(3)
+    with pytest.raises(ValueError, match=r"'preference' is not in the specs.*PreferenceSampler"):
+        make_actor(bare.action_spec, bare.observation_spec)
+    flat = Composite(observation=Unbounded((4,)), shape=(4,))
+    with pytest.raises(ValueError, match="'observation' has no dimension of features"):
+        make_vector_critic(3, flat, in_keys=["observation"])
+
+
+# --- Inputs that do not fit are named.
+
+
+class DoubleEnv(VectorRewardMockEnv):
+    """Observations in double precision, as those of MO-Gymnasium's MuJoCo tasks."""
+
+    def __init__(self, **kwargs) -> None:
+        super().__init__(3, **kwargs)
+        self.observation_spec["observation"] = Bounded(
+            -1.0, 1.0, shape=(*self.batch_size, 2), dtype=torch.float64
+        )
+
+    def _observe(self) -> TensorDict:
+        data = super()._observe()
+        return data.set("observation", data["observation"].double())
+
+
+def test_double_observations_are_named_and_the_advice_works():
+    env = TransformedEnv(DoubleEnv(batch_size=(4,)), PreferenceSampler(WISHES))
+    actor = make_actor(env.action_spec, env.observation_spec, num_cells=(8,))
+    critic = make_vector_critic(3, env.observation_spec, env.action_spec, num_cells=(8,))
+    model = RewardModel(env.observation_spec, env.action_spec, num_cells=(8,))
+    message = r"^'observation' is float64, the network float32: append DoubleToFloat\(\)"
+    with pytest.raises(ValueError, match=message):
+        env.rollout(3, actor)
+    data = env.rollout(3)
+    for network in (actor, critic, model):
+        with pytest.raises(ValueError, match=message):
+            network(data.clone())
+        # A network of double precision takes the preference along, as concatenation does.
+        assert network.double()(data.clone()) is not None
+        network.float()
+    env.append_transform(DoubleToFloat())
+    assert critic(env.rollout(3, actor))["state_action_value"].dtype == torch.float32
+
+
+def test_other_precisions_and_autocast():
+    critic = make_vector_critic(3, in_features=9, num_cells=(8,))
+    data = _data(4)
+    with pytest.raises(ValueError, match="'observation' is float32, the network float64"):
+        critic.double()(data.clone())
+    critic.float()
+    halves = data.apply(lambda value: value.half())
+    with pytest.raises(ValueError, match="'observation' is float16, the network float32: convert"):
+        critic(halves)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert critic(data.double())["state_action_value"].dtype == torch.float32
+
+
+def test_inputs_of_another_size_are_named():
+    actor = make_actor(Bounded(LOW, HIGH), in_features=9, num_cells=(8,))
+    with pytest.raises(
+        ValueError, match=r"takes 9 entries, the inputs have 7: {'observation': 4, 'p"
+    ):
+        actor(_data(5))
+
+
+def test_a_network_is_exported_as_before():
+    mlp = make_vector_critic(3, in_features=9, num_cells=(8,)).module
+    inputs = tuple(_data(5)[key] for key in ("observation", "preference", "action"))
+    program = torch.export.export(mlp, inputs)
+    torch.testing.assert_close(program.module()(*inputs), mlp(*inputs))

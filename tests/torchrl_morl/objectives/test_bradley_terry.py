@@ -248,3 +248,41 @@ class TestContract:
         loss = BradleyTerryLoss(model().double())
         data = random_pairs(4).apply(torch.Tensor.double)
         assert loss(data)["loss_bradley_terry"].dtype == torch.double
+
+
+class TestNetworksThatDoNotFit:
+    def test_two_outputs(self):
+        network = TensorDictModule(
+            nn.Linear(4, 2), in_keys=["observation"], out_keys=["demo_score"]
+        )
+        message = r"writes 'demo_score' of shape \[8, 5, 2\] .* one reward per step is \[8, 5, 1\]"
+        with pytest.raises(ValueError, match=message):
+            BradleyTerryLoss(network)(random_pairs(8))
+
+    def test_no_dimension_for_the_output(self):
+        network = TensorDictModule(
+            lambda x: x.mean(-1), in_keys=["observation"], out_keys=["demo_score"]
+        )
+        with pytest.raises(ValueError, match=r"of shape \[8, 5\] .* one reward per step"):
+            BradleyTerryLoss(network)(random_pairs(8))
+
+    def test_another_output_key(self):
+        network = model(out_key=("agent", "style"))
+        loss, data = BradleyTerryLoss(network, beta=1.0), random_pairs(8)
+        with pytest.raises(KeyError, match=r"set_keys\(score=\('agent', 'style'\)\)"):
+            loss(data)
+        loss.set_keys(score=("agent", "style"))
+        total = [
+            network(data[side])["agent", "style"].sum((-1, -2)) for side in ("preferred", "other")
+        ]
+        expected = nn.functional.softplus(total[1] - total[0]).mean()
+        torch.testing.assert_close(loss(data)["loss_bradley_terry"], expected)
+
+    @pytest.mark.parametrize("reduction", ["average", None])
+    def test_unknown_reduction(self, reduction):
+        with pytest.raises(ValueError, match="reduction must be one of"):
+            BradleyTerryLoss(model(), reduction=reduction)
+
+    def test_infinite_beta(self):
+        with pytest.raises(ValueError, match="beta must be positive and finite, got inf"):
+            BradleyTerryLoss(model(), beta=math.inf)

@@ -138,7 +138,7 @@ def test_angle_by_hand(angle):
     expected = torch.tensor([1.2490458, 0.3217506, 1.5707963])
     if angle == "raw":
         expected = expected.rad2deg()
-    interpolator = PreferenceInterpolator(torch.eye(2))
+    interpolator = PreferenceInterpolator(torch.eye(2), value_space=angle)
     loss = _table_loss(
         interpolator=interpolator,
         angle=angle,

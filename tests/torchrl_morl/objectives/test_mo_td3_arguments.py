@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from tests._mo_td3 import (
+    SPACE,
     SPEC,
     make_batch,
     make_loss,
@@ -24,6 +25,19 @@ from torchrl_morl.objectives import MOTD3Loss
         ({"interpolator": PreferenceInterpolator(torch.eye(3))}, "3 tunable objectives"),
         ({"angle_coeff_actor": -1.0}, "angle_coeff_actor must not be negative"),
         ({"pre_tanh_coeff": -1.0}, "pre_tanh_coeff must not be negative"),
+        ({"pre_tanh_coeff": float("nan")}, "pre_tanh_coeff .* must be finite, got nan"),
+        ({"angle_coeff_critic": float("inf")}, "angle_coeff_critic .* must be finite, got inf"),
+        ({"policy_noise": -0.1}, "policy_noise must not be negative"),
+        ({"noise_clip": float("nan")}, "noise_clip .* must be finite, got nan"),
+        (
+            {"angle": "raw", "interpolator": PreferenceInterpolator(torch.eye(2))},
+            "^angle='raw' compares raw values with directions in the normalized space of the "
+            "interpolator: give it value_space='raw'.$",
+        ),
+        (
+            {"interpolator": PreferenceInterpolator(torch.eye(2), value_space="raw")},
+            "^angle='normalized' compares .* in the raw space .*: give it value_space='normalized'.$",
+        ),
         ({"target_selection": "median"}, "target_selection must be one of"),
         ({"action_spec": None}, "bounds"),
     ],
@@ -68,3 +82,18 @@ def test_missing_preference():
     batch = make_batch(4).exclude("preference", ("next", "preference"))
     with pytest.raises(KeyError, match="preference"):
         make_loss()(batch)
+
+
+def test_networks_that_write_other_keys():
+    actor, critic = make_networks()
+    critic.out_keys = ["q"]
+    with pytest.raises(
+        KeyError, match=r"the critic writes \['q'\].*set_keys\(state_action_value='q'\)"
+    ):
+        MOTD3Loss(actor, critic, preference_space=SPACE, action_spec=SPEC).actor_loss(make_batch(4))
+    loss = make_loss()
+    loss.set_keys(action="command")
+    batch = make_batch(4)
+    batch["command"] = batch["action"]
+    with pytest.raises(KeyError, match=r"the actor writes .*set_keys\(action='action'\)"):
+        loss.actor_loss(batch)

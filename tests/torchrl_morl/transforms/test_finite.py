@@ -109,6 +109,30 @@ class TestCheckFinite(TransformTests):
         with pytest.raises(ValueError, match=r"'scan'\[0\] = nan"):
             TransformedEnv(base, self.make_transform()).reset()
 
+    @pytest.mark.parametrize("prefix", [None, "agent"])
+    def test_rewards_are_checked_from_the_first_step_on(self, prefix):
+        base = make_env(prefix=prefix, batch_size=(3,))
+        keys = [base.key("observation"), base.key("reward")]
+        env = TransformedEnv(base, CheckFinite(keys))
+        check_env_specs(env)
+        assert env.rollout(4, break_when_any_done=False).shape == (3, 4)
+        step = base._step
+
+        def broken(tensordict):
+            data = step(tensordict)
+            data[keys[1]][1, 2] = torch.nan
+            return data
+
+        base._step = broken
+        data = env.rand_action(env.reset())
+        with pytest.raises(ValueError, match=re.escape(f"{keys[1]!r}[1, 2] = nan must be finite")):
+            env.step(data)
+
+    def test_a_key_that_is_never_there_ends_at_the_first_step(self):
+        env = TransformedEnv(make_env(), CheckFinite(["observation", "rewards"]))
+        with pytest.raises(KeyError, match="rewards"):
+            env.rand_step(env.reset())
+
     def test_transform_model(self):
         model = TensorDictSequential(CheckFinite(["scan"]), LidarMinPool(3))
         assert "lidar" in model(scans())

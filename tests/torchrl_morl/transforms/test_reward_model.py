@@ -212,6 +212,16 @@ class TestRewardModelReward(TransformTests):
         assert torch.equal(stored["next", "reward"], data["next", "reward"])
         assert set(data.keys(True, True)) == {k for k in stored.keys(True, True) if k != "index"}
 
+    def test_a_model_of_two_outputs(self):
+        model = TensorDictModule(nn.Linear(2, 2), in_keys=["observation"], out_keys=["demo_score"])
+        with pytest.raises(ValueError, match=r"'demo_score' of shape \[5, 2\]: it must end in 1"):
+            RewardModelReward(model)(transitions(5))
+
+    @pytest.mark.parametrize("scale", [float("nan"), float("inf"), 0.0])
+    def test_scales_that_are_none(self, scale):
+        with pytest.raises(ValueError, match="scale must be positive and finite"):
+            RewardModelReward(MODEL, scale=scale)
+
     def test_env_and_replay_buffer_agree(self):
         env = TransformedEnv(make_env(batch_size=(3,)), self.make_transform())
         data = env.rollout(5)
