@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import ExcludeTransform, TransformedEnv
 
+from torchrl_morl.deploy import LidarGeometry, Limits, Policy, Sensing
 from torchrl_morl.deploy.features import observation_parts, policy_transforms
 from torchrl_morl.transforms import PreferenceSampler, RewardModelReward
 
+from .lidar import MIN_RANGE
 from .navigation import NavigationEnv
+from .robots import get_robot
+from .scenes import get_scene
 
 _OBSERVED = ("observe_human", "observe_human_velocity")
 
@@ -31,9 +36,55 @@ def observation_size(arguments: Mapping[str, Any]) -> int:
     return sum(map(len, observation_parts(**observed(arguments)).values()))
 
 
+def sensing(arguments: Mapping[str, Any]) -> Sensing:
+    """What a policy senses under these arguments of :func:`make_policy_env`."""
+    robot, max_range = get_robot(arguments.get("robot", "turtlebot2")), arguments.get("max_range")
+    scene = get_scene(arguments.get("scene", "static"))
+    observation_parts(**observed(arguments))  # refuses what does not go together
+    max_range = 4.0 if max_range is None else float(max_range)
+    # A human who walks towards the robot starts at the goal, one who stands between the two.
+    human_range = (0.4, 12.0 if scene.human_speed else 8.0)
+    return Sensing(
+        max_range=max_range,
+        unknown_range=max_range,
+        lidar_origin=(robot.lidar_offset, 0.0),
+        human_range=human_range,
+        **observed(arguments),
+    )
+
+
+def contract(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """What :func:`~torchrl_morl.deploy.save_policy` is told of a policy trained with these arguments.
+
+    Example:
+        >>> contract({"scene": "static", "robot": "hsr"})["sensing"].lidar_origin
+        (0.15, 0.0)
+    """
+    robot = get_robot(arguments.get("robot", "turtlebot2"))
+    return {
+        "sensing": sensing(arguments),
+        "limits": Limits((0.0, robot.max_speed), (-robot.max_turn_rate, robot.max_turn_rate)),
+        "period": NavigationEnv.CONTROL_PERIOD,
+        "robot": robot.name,
+    }
+
+
+def lidar_geometry(env: NavigationEnv) -> LidarGeometry:
+    """The lidar of an environment, for :class:`~torchrl_morl.deploy.PolicyRunner`."""
+    return LidarGeometry(
+        first_angle=0.0,
+        increment=2 * math.pi / env.num_rays,
+        num_beams=env.num_rays,
+        range_min=MIN_RANGE / 2,
+        range_max=env.max_range,
+        mount=(env.robot.lidar_offset, 0.0, 0.0),
+    )
+
+
 def make_policy_env(
     sampler: PreferenceSampler | None = None,
     *,
+    policy: Policy | None = None,
     reward_model: TensorDictModuleBase | None = None,
     keep_simulation: bool = False,
     observe_human: bool = True,
@@ -46,6 +97,7 @@ def make_policy_env(
         sampler: gives every episode its preference; without one there is no preference.
 
     Keyword Args:
+        policy: that is to drive here: refused if it was trained to sense something else.
         reward_model: scores demonstration-likeness of ``observation`` and ``action``; it becomes
             the objective "demo", in second place of the reward.
         keep_simulation: keep raw scans and the simulator's state in the rollouts, for figures and
@@ -58,7 +110,17 @@ def make_policy_env(
     Returns:
         An environment with ``observation`` ``[N, 36]`` and ``preference`` ``[N, T]``, whose
         ``action`` is in [-1, 1].
+
+    Raises:
+        ValueError: for a policy that senses something else; the message says what to change.
     """
+    if policy is not None and policy.sensing is not None:
+        shown = {
+            "observe_human": observe_human,
+            "observe_human_velocity": observe_human_velocity,
+            **kwargs,
+        }
+        policy.sensing.check(sensing(shown))
     base = NavigationEnv(snapshots=keep_simulation, **kwargs)
     transforms = policy_transforms(
         base.max_range,

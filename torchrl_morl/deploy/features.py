@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import torch
+from torch import Tensor
 from torchrl.envs import ActionScaling, CatTensors, Compose, UnaryTransform
 
 from torchrl_morl.transforms import (
@@ -11,6 +13,9 @@ from torchrl_morl.transforms import (
     PolarFeatures,
     VelocityInFrame,
 )
+from torchrl_morl.transforms.polar import polar_features
+
+from .sensing import Sensing
 
 __all__ = [
     "GOAL_SCALE",
@@ -18,6 +23,7 @@ __all__ = [
     "NUM_SECTORS",
     "OBSERVATION_SIZE",
     "PARTS",
+    "observation",
     "observation_parts",
     "policy_transforms",
 ]
@@ -60,6 +66,7 @@ def policy_transforms(
     period: float = 0.2,
     observe_human: bool = True,
     observe_human_velocity: bool = False,
+    range_min: float | None = None,
 ) -> Compose:
     """Transforms that build the policy's ``observation`` ``[*B, 36]`` and scale its action.
 
@@ -84,6 +91,8 @@ def policy_transforms(
             sees the human, as an obstacle like any other.
         observe_human_velocity: two more entries, 36 and 37: the human's velocity over the ground in
             the last step, ahead and to the left, m/s.
+        range_min: for scans of a real lidar, which may be invalid or infinite: see
+            :class:`~torchrl_morl.transforms.LidarMinPool`. Without it they are refused.
 
     Raises:
         ValueError: see :func:`observation_parts`.
@@ -95,8 +104,10 @@ def policy_transforms(
     return Compose(
         ActionScaling(),
         # First, so that an error names the sensor and the ray.
-        CheckFinite(["scan", *scales]),
-        LidarMinPool(NUM_SECTORS),
+        CheckFinite([*(["scan"] if range_min is None else []), *scales]),
+        LidarMinPool(
+            NUM_SECTORS, range_min=range_min, range_max=None if range_min is None else max_range
+        ),
         UnaryTransform(in_keys=["lidar"], out_keys=["lidar_features"], fn=LogRange(max_range)),
         PolarFeatures(
             in_keys=list(scales),
@@ -112,3 +123,42 @@ def policy_transforms(
             sort=False,
         ),
     )
+
+
+def observation(
+    sensing: Sensing,
+    *,
+    lidar: Tensor,
+    goal: Tensor,
+    human: Tensor | None = None,
+    human_velocity: Tensor | None = None,
+) -> Tensor:
+    """What the network reads: the same features as those of :func:`policy_transforms`.
+
+    Nothing is checked or clamped. Traceable by :func:`torch.compile` and :func:`torch.export`.
+
+    Args:
+        sensing: of the policy.
+
+    Keyword Args:
+        lidar: shortest range of each sector, ``[*B, num_sectors]``, metres.
+        goal: distance (m) and bearing (rad), ``[*B, 2]``.
+        human: the same, for policies that read it.
+        human_velocity: over the ground, ahead and to the left, m/s, ``[*B, 2]``, likewise.
+
+    Returns:
+        ``[*B, observation_size]``.
+
+    Example:
+        >>> import torch
+        >>> nothing_near = torch.full((30,), 4.0)
+        >>> goal = human = torch.tensor([5.0, 0.0])
+        >>> observation(Sensing(), lidar=nothing_near, goal=goal, human=human)[30:]
+        tensor([1.0000, 0.0000, 1.0000, 2.5000, 0.0000, 1.0000])
+    """
+    parts = [LogRange(sensing.max_range)(lidar), polar_features(goal, sensing.goal_scale)]
+    if sensing.observe_human:
+        parts.append(polar_features(human, sensing.human_scale))
+    if sensing.observe_human_velocity:
+        parts.append(human_velocity)
+    return torch.cat(parts, dim=-1)

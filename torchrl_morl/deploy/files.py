@@ -1,116 +1,361 @@
 """Modules as folders: weights in safetensors, everything else in JSON beside them.
 
-Neither format can run code when it is opened.
+Neither format can run code when it is opened. A folder appears whole or not at all. A file is taken
+for hostile until it has been read: sizes are compared before anything is allocated.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import json
 import math
-from collections.abc import Sequence
+import os
+import reprlib
+import shutil
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save
 from torch import nn
 
 from torchrl_morl.transforms import check_finite
 
-FORMAT = 1
+FORMAT = 2
+"""What is written; format 1, which has neither checksum nor activation, is read as well."""
+
+DTYPES = {"F32": "float32", "F64": "float64"}
+"""What weights may be, in the words of safetensors and of PyTorch."""
+
+_MAX_CONFIG_BYTES = 16 * 2**20
+_MAX_DEPTH = 64
+
+
+@contextlib.contextmanager
+def whole_folder(folder: str | Path) -> Iterator[Path]:
+    """A folder to write into, which takes its name only when all is written.
+
+    It lies beside its place until then, with a name that starts with a dot; only a process that is
+    killed leaves it behind.
+
+    Args:
+        folder: must not exist, or be empty.
+
+    Raises:
+        FileExistsError: if there is something already.
+    """
+    final = Path(folder).resolve()
+    taken = f"{folder} exists and is not overwritten: remove it or choose another folder."
+    if final.exists() and not (final.is_dir() and not any(final.iterdir())):
+        raise FileExistsError(taken)
+    partial = final.with_name(f".{final.name}.{uuid.uuid4().hex[:12]}")
+    partial.mkdir(parents=True)
+    try:
+        yield partial
+        try:
+            partial.rename(final)
+        except OSError as error:
+            if final.exists():  # another process was faster
+                raise FileExistsError(taken) from error
+            raise
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def write_module(folder: str | Path, kind: str, module: nn.Module, config: dict[str, Any]) -> Path:
     """Write ``{kind}.safetensors`` and ``{kind}.json``.
 
     Raises:
-        FileExistsError: if one of them exists.
+        FileExistsError: if the folder exists and is not empty.
+        ValueError: for weights that could not be read again: of another dtype than float32 and
+            float64, of several, or not finite.
     """
-    folder = Path(folder)
-    weights_file, config_file = _paths(folder, kind)
-    for path in (weights_file, config_file):
-        if path.exists():
-            raise FileExistsError(
-                f"{path} exists and is not overwritten: remove it or choose another folder."
-            )
-    config = _null_for_nan({"format": FORMAT, **config})
-    text = json.dumps(config, indent=2, allow_nan=False) + "\n"
-    folder.mkdir(parents=True, exist_ok=True)
-    weights = {name: value.contiguous().cpu() for name, value in module.state_dict().items()}
-    save_file(weights, weights_file)
-    config_file.write_text(text)
-    return folder
+    weights = {
+        name: value.detach().cpu().clone(memory_format=torch.contiguous_format)
+        for name, value in module.state_dict().items()
+    }
+    dtypes = sorted({str(value.dtype).removeprefix("torch.") for value in weights.values()})
+    if len(dtypes) != 1 or dtypes[0] not in DTYPES.values():
+        raise ValueError(
+            f"weights must be all float32 or all float64, got {', '.join(dtypes)}: convert them "
+            "with .float() before saving."
+        )
+    check_finite(weights, list(weights))
+    data = save(weights)
+    checksum = hashlib.sha256(data).hexdigest()
+    config = {"format": FORMAT, "checksum": checksum, "dtype": dtypes[0], **config}
+    text = json.dumps(null_for_nan(config), indent=2, allow_nan=False) + "\n"
+    with whole_folder(folder) as partial:
+        weights_file, config_file = paths(partial, kind)
+        _write(weights_file, data)
+        _write(config_file, text.encode())
+    return Path(folder)
 
 
-def read_config(folder: str | Path, kind: str, required: Sequence[str]) -> dict[str, Any]:
-    """Read ``{kind}.json`` and check that it is of this format and complete.
+def read_config(folder: str | Path, kind: str) -> Entries:
+    """Read ``{kind}.json`` and check that it is of a format that can be read.
 
     Raises:
         FileNotFoundError: if it, or the weights beside it, are missing.
         ValueError: if it is not what it should be.
     """
-    weights_file, config_file = _paths(folder, kind)
+    weights_file, config_file = paths(folder, kind)
     for path in (weights_file, config_file):
         if not path.is_file():
             raise FileNotFoundError(
                 f"{path} not found: a {kind.replace('_', ' ')} is a folder with "
                 f"{weights_file.name} and {config_file.name}."
             )
-    try:
-        config = json.loads(config_file.read_text())
-    except ValueError as error:
-        raise ValueError(f"{config_file} is not valid JSON: {error}.") from error
+    if config_file.stat().st_size > _MAX_CONFIG_BYTES:
+        raise ValueError(f"{config_file} is larger than {_MAX_CONFIG_BYTES >> 20} MiB.")
+    config = parse_json(config_file.read_bytes(), str(config_file))
     if not isinstance(config, dict):
         raise ValueError(f"{config_file} is not a {kind}: no JSON object.")
-    missing = [key for key in ("format", *required) if key not in config]
-    if missing:
-        raise ValueError(f"{config_file} is not a {kind}: {', '.join(missing)} missing.")
-    if config["format"] != FORMAT:
+    entries = Entries(config, str(config_file))
+    version = entries.get("format")
+    if type(version) is not int or not 1 <= version <= FORMAT:
         raise ValueError(
-            f"{config_file} has format {config['format']}, this version reads {FORMAT}: "
+            f"{config_file} has format {reprlib.repr(version)}, this version reads 1 to {FORMAT}: "
             "use the torchrl-morl version that wrote it."
         )
-    return config
+    return entries
 
 
-def read_weights(folder: str | Path, kind: str, module: nn.Module) -> None:
-    """Read ``{kind}.safetensors`` into a module.
+def read_weights(folder: str | Path, kind: str, module: nn.Module, config: Entries) -> None:
+    """Read ``{kind}.safetensors`` into a module on the ``meta`` device, which gets them as they are.
+
+    Names, sizes and types are compared before a weight is read.
 
     Raises:
-        ValueError: if the file is broken, does not fit the module or holds values that are not
-            finite.
+        ValueError: if the file is broken, was changed after it had been written, does not fit the
+            module or holds values that are not finite.
     """
-    weights_file, config_file = _paths(folder, kind)
-    try:
-        weights = load_file(weights_file)
-    except SafetensorError as error:
-        raise ValueError(f"{weights_file} is not a safetensors file: {error}.") from error
-    expected = {name: tuple(value.shape) for name, value in module.state_dict().items()}
-    found = {name: tuple(value.shape) for name, value in weights.items()}
+    weights_file, config_file = paths(folder, kind)
+    dtype = config.choice("dtype", tuple(DTYPES.values())) if config["format"] > 1 else "float32"
+    found = read_header(weights_file)
+    expected = {name: (dtype, tuple(value.shape)) for name, value in module.state_dict().items()}
     if expected != found:
-        different = sorted(
-            name for name in expected.keys() | found.keys() if expected.get(name) != found.get(name)
-        )
+        names = sorted(expected.keys() | found.keys())
+        different = [name for name in names if expected.get(name) != found.get(name)]
         name = different[0]
         raise ValueError(
-            f"{weights_file} does not fit {config_file.name}: {name} should have shape "
-            f"{expected.get(name, 'none')} and has {found.get(name, 'none')} "
+            f"{weights_file} does not fit {config_file.name}: {reprlib.repr(name)} should be "
+            f"{_entry(expected.get(name))} and is {_entry(found.get(name))} "
             f"({len(different)} entries differ)."
         )
+    if config["format"] > 1:
+        checksum = config.text("checksum")
+        if checksum != file_checksum(weights_file):
+            raise ValueError(
+                f"{weights_file} is not the file that {config_file.name} was written with: its "
+                "SHA-256 differs from the checksum. Copy the folder again."
+            )
+    weights = load_file(weights_file)
     try:
         check_finite(weights, list(weights))
     except ValueError as error:
         raise ValueError(f"{weights_file} is of no use: {error}") from error
-    module.load_state_dict(weights)
+    module.load_state_dict(weights, assign=True)
 
 
-def _paths(folder: str | Path, kind: str) -> tuple[Path, Path]:
+def read_header(path: Path) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Dtype and shape of every tensor of a safetensors file; its values are not read.
+
+    Raises:
+        ValueError: if it is no safetensors file.
+    """
+    try:
+        with safe_open(path, "pt") as file:
+            parts = {name: file.get_slice(name) for name in file.keys()}
+            return {
+                name: (DTYPES.get(part.get_dtype(), part.get_dtype()), tuple(part.get_shape()))
+                for name, part in parts.items()
+            }
+    except SafetensorError as error:
+        raise ValueError(f"{path} is not a safetensors file: {one_line(error)}.") from error
+
+
+def count_tensors(folder: str | Path, kind: str) -> int:
+    """How many tensors the weights of a folder hold."""
+    return len(read_header(paths(folder, kind)[0]))
+
+
+def file_checksum(path: Path) -> str:
+    """SHA-256 of a file, as ``sha256sum`` prints it."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def parse_json(text: bytes | str, where: str) -> Any:
+    """JSON as the standard has it: no NaN, no infinity, and no more than 64 levels.
+
+    Raises:
+        ValueError: if it is none.
+    """
+
+    def refuse(name: str) -> None:
+        raise ValueError(f"{name} is no JSON number")
+
+    try:
+        value = json.loads(text, parse_constant=refuse)
+    except RecursionError:
+        raise ValueError(f"{where} is not valid JSON: nested too deeply.") from None
+    except ValueError as error:
+        raise ValueError(f"{where} is not valid JSON: {one_line(error)}.") from error
+    level = [value]
+    for _ in range(_MAX_DEPTH):
+        level = [
+            item
+            for entry in level
+            if isinstance(entry, (dict, list))
+            for item in (entry.values() if isinstance(entry, dict) else entry)
+        ]
+        if not level:
+            return value
+    raise ValueError(f"{where} is not valid JSON: nested too deeply.")
+
+
+class Entries(Mapping):
+    """The entries of a JSON object, each with the type that it must have.
+
+    Args:
+        values: as they were read.
+        where: what messages call the object.
+    """
+
+    def __init__(self, values: Mapping[str, Any], where: str) -> None:
+        self._values, self.where = values, where
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._values:
+            raise ValueError(f"{self.where} lacks {name!r}.")
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._values
+
+    def get(self, name: str, default: Any = None) -> Any:
+        return self._values.get(name, default)
+
+    def refused(self, name: str, allowed: str) -> ValueError:
+        """The error for an entry that is something else than what is allowed."""
+        return ValueError(
+            f"{self.where}: {name} must be {allowed}, got {reprlib.repr(self._values[name])}."
+        )
+
+    def integer(self, name: str, low: int = 1, high: int = 2**24) -> int:
+        """A whole number."""
+        value = self[name]
+        if type(value) is not int or not low <= value <= high:
+            raise self.refused(name, f"an integer between {low} and {high}")
+        return value
+
+    def integers(self, name: str) -> tuple[int, ...]:
+        """A list of positive numbers."""
+        value = self[name]
+        if type(value) is not list or not all(type(n) is int and 0 < n <= 2**24 for n in value):
+            raise self.refused(name, f"a list of integers between 1 and {2**24}")
+        return tuple(value)
+
+    def number(self, name: str) -> float:
+        """A finite number."""
+        return self.numbers(name, length=None)[0]
+
+    def numbers(self, name: str, length: int | None) -> tuple[float, ...]:
+        """A list of so many finite numbers; ``None`` for a number alone."""
+        value = self[name]
+        values = [value] if length is None else value
+        if (
+            type(values) is not list
+            or len(values) != (length or 1)
+            or not all(type(n) in (int, float) and abs(n) < 1e300 for n in values)
+        ):
+            raise self.refused(
+                name, "a finite number" if length is None else f"{length} finite numbers"
+            )
+        return tuple(float(n) for n in values)
+
+    def flag(self, name: str) -> bool:
+        """True or false."""
+        value = self[name]
+        if type(value) is not bool:
+            raise self.refused(name, "true or false")
+        return value
+
+    def text(self, name: str) -> str:
+        """A printable string."""
+        value = self[name]
+        if type(value) is not str or not value or not value.isprintable():
+            raise self.refused(name, "a printable, non-empty string")
+        return value
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """A list of printable strings."""
+        value = self[name]
+        if type(value) is not list or not all(
+            type(text) is str and text and text.isprintable() for text in value
+        ):
+            raise self.refused(name, "a list of printable, non-empty strings")
+        return tuple(value)
+
+    def choice(self, name: str, allowed: Sequence[str]) -> str:
+        """One of the strings."""
+        value = self[name]
+        if type(value) is not str or value not in allowed:
+            raise self.refused(name, f"one of {', '.join(allowed)}")
+        return value
+
+    def object(self, name: str) -> Entries:
+        """An object within."""
+        value = self[name]
+        if type(value) is not dict:
+            raise self.refused(name, "an object")
+        return Entries(value, f"{self.where}: {name}")
+
+    def plain(self, name: str) -> dict[str, Any]:
+        """An object of anything; empty if it is missing."""
+        return dict(self.object(name)) if name in self else {}
+
+
+def paths(folder: str | Path, kind: str) -> tuple[Path, Path]:
+    """Where the weights and the JSON of a folder lie."""
     return Path(folder) / f"{kind}.safetensors", Path(folder) / f"{kind}.json"
 
 
-def _null_for_nan(value: Any) -> Any:
+def one_line(error: object) -> str:
+    """The message of an error in one short line, without the dot at its end."""
+    text = " ".join(str(error).split())
+    return (text if len(text) <= 200 else f"{text[:200]}...").removesuffix(".")
+
+
+def null_for_nan(value: Any) -> Any:
+    """JSON knows neither NaN nor infinity: they become null."""
     if isinstance(value, dict):
-        return {key: _null_for_nan(entry) for key, entry in value.items()}
+        return {key: null_for_nan(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_null_for_nan(entry) for entry in value]
+        return [null_for_nan(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _entry(entry: tuple[str, tuple[int, ...]] | None) -> str:
+    return "nothing" if entry is None else f"{entry[0]} of shape {entry[1]}"
+
+
+def _write(path: Path, data: bytes) -> None:
+    with path.open("xb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,49 +10,50 @@ import torch
 
 from torchrl_morl.modules import RewardModel
 
-from .files import read_config, read_weights, write_module
+from .files import Entries, count_tensors, paths, read_config, read_weights, write_module
+from .networks import (
+    ACTIVATIONS,
+    check_restorable,
+    describe_mlp,
+    keys_from_json,
+    keys_to_json,
+)
 
 __all__ = ["load_reward_model", "save_reward_model"]
 
 _KIND = "reward_model"
-_REQUIRED = ("in_features", "in_keys", "num_cells", "num_members")
 
 
-def save_reward_model(
-    folder: str | Path,
-    model: RewardModel,
-    *,
-    in_features: int,
-    num_cells: tuple[int, ...],
-    num_members: int,
-    card: dict[str, Any],
-) -> Path:
+def save_reward_model(folder: str | Path, model: RewardModel, *, card: Mapping[str, Any]) -> Path:
     """Write a reward model to a folder: ``reward_model.safetensors`` and ``reward_model.json``.
 
+    Sizes, keys, activation and dtype are read from the model. What could not be restored is refused.
+
     Args:
-        folder: made if missing; must not hold a reward model yet.
-        model: with plain string ``in_keys``.
+        folder: must not exist, or be empty; it appears whole or not at all.
+        model: to save.
 
     Keyword Args:
-        in_features: summed size of its inputs.
-        num_cells: hidden sizes.
-        num_members: networks in the ensemble.
         card: whatever a reader should know (data, seeds, diagnostics), as JSON values.
 
     Returns:
         The folder.
 
     Raises:
-        FileExistsError: if the folder holds a reward model already.
+        FileExistsError: if the folder holds something already.
+        ValueError: for a model that the files could not restore.
     """
-    config = {
-        "in_features": in_features,
-        "in_keys": list(model.in_keys),
-        "num_cells": list(num_cells),
-        "num_members": num_members,
-        "card": card,
+    members = [describe_mlp(member) for member in model.module.members]
+    if any(member != members[0] for member in members):
+        raise ValueError("the members of the reward model differ: it cannot be restored.")
+    network = {
+        **members[0],
+        "num_members": len(members),
+        "in_keys": keys_to_json(model.in_keys),
+        "out_key": keys_to_json(model.out_keys)[0],
     }
-    return write_module(folder, _KIND, model, config)
+    check_restorable(model, _build(Entries(network, _KIND)))
+    return write_module(folder, _KIND, model, {"network": network, "card": dict(card)})
 
 
 def load_reward_model(
@@ -60,7 +62,7 @@ def load_reward_model(
     """Read a reward model written by :func:`save_reward_model`.
 
     Args:
-        folder: with ``reward_model.safetensors`` and ``reward_model.json``.
+        folder: with ``reward_model.safetensors`` and ``reward_model.json``, also of earlier versions.
         device: where to put it.
 
     Returns:
@@ -68,17 +70,37 @@ def load_reward_model(
 
     Raises:
         FileNotFoundError: if a file is missing.
-        ValueError: if a file is broken, of another format, or does not fit the other.
+        ValueError: if a file is broken, changed, of another format, or does not fit the other. In one
+            line.
     """
-    config = read_config(folder, _KIND, _REQUIRED)
-    try:
-        model = RewardModel(
-            in_features=config["in_features"],
-            in_keys=config["in_keys"],
-            num_cells=config["num_cells"],
-            num_members=config["num_members"],
+    config = read_config(folder, _KIND)
+    if config["format"] > 1:
+        network = config.object("network")
+    else:
+        defaults = {"activation": "ReLU", "out_key": "demo_score"}
+        network = Entries({**config, **defaults}, config.where)
+    depth, num_members = len(network.integers("num_cells")), network.integer("num_members")
+    if count_tensors(folder, _KIND) != 2 * (depth + 1) * num_members:
+        raise ValueError(
+            f"{paths(folder, _KIND)[0]} does not fit {_KIND}.json: it should have "
+            f"{2 * (depth + 1) * num_members} entries, for {num_members} members with {depth} hidden "
+            "layers, and has another number."
         )
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{folder}/{_KIND}.json describes no reward model: {error}") from error
-    read_weights(folder, _KIND, model)
-    return model.requires_grad_(False).eval().to(device), config.get("card", {})
+    card = config.plain("card")
+    model = _build(network)
+    read_weights(folder, _KIND, model, config)
+    return model.requires_grad_(False).eval().to(device), card
+
+
+def _build(network: Entries) -> RewardModel:
+    """The model of a description, without weights."""
+    out_key = Entries({"out_key": [network["out_key"]]}, network.where)
+    return RewardModel(
+        in_features=network.integer("in_features"),
+        in_keys=keys_from_json(network, "in_keys"),
+        num_cells=network.integers("num_cells"),
+        activation_class=ACTIVATIONS[network.choice("activation", tuple(ACTIVATIONS))],
+        out_key=keys_from_json(out_key, "out_key")[0],
+        num_members=network.integer("num_members"),
+        device="meta",
+    )

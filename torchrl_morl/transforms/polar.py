@@ -9,13 +9,28 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import dispatch
 from tensordict.utils import NestedKey
+from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs.transforms import ObservationTransform
 
 from torchrl_morl.representation import describe
 from torchrl_morl.transforms.stored import apart_from_storage
 
-__all__ = ["PolarFeatures"]
+__all__ = ["PolarFeatures", "polar_features"]
+
+
+def polar_features(position: Tensor, scale: float) -> Tensor:
+    """The features of :class:`PolarFeatures` without a tensordict.
+
+    Args:
+        position: distance (m) and bearing (rad), ``[*B, 2]``.
+        scale: the distance in metres that becomes 1.
+
+    Returns:
+        Distance / scale, sine and cosine of the bearing, ``[*B, 3]``.
+    """
+    distance, bearing = position.unbind(-1)
+    return torch.stack([distance / scale, bearing.sin(), bearing.cos()], -1)
 
 
 class PolarFeatures(ObservationTransform):
@@ -69,9 +84,7 @@ class PolarFeatures(ObservationTransform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         for in_key, out_key, scale in zip(self.in_keys, self.out_keys, self.scales):
-            distance, bearing = next_tensordict[in_key].unbind(-1)
-            features = torch.stack([distance / scale, bearing.sin(), bearing.cos()], -1)
-            next_tensordict.set(out_key, features)
+            next_tensordict.set(out_key, polar_features(next_tensordict[in_key], scale))
         return next_tensordict
 
     @dispatch(source="in_keys", dest="out_keys", auto_batch_size=False)

@@ -101,7 +101,7 @@ def test_another_format_is_named(tmp_path, header):
 def test_the_right_format_without_a_mask(tmp_path):
     path = tmp_path / "maskless.safetensors"
     save_file({"action": torch.ones(2, 3)}, path, {"format": FORMAT, "metadata": "{}"})
-    with pytest.raises(ValueError, match=r"maskless\.safetensors has no 'mask'"):
+    with pytest.raises(ValueError, match=r"maskless\.safetensors has no boolean 'mask'"):
         load_demonstrations(path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import pickle
 import re
@@ -33,14 +34,7 @@ def actor():
 
 
 def save(folder: Path, actor, **kwargs) -> Path:
-    defaults = {
-        "preference_space": SPACE,
-        "observation_size": OBSERVATION,
-        "action_size": ACTION,
-        "num_cells": CELLS,
-        "card": CARD,
-    }
-    return save_policy(folder, actor, **(defaults | kwargs))
+    return save_policy(folder, actor, **({"preference_space": SPACE, "card": CARD} | kwargs))
 
 
 @pytest.fixture
@@ -62,13 +56,19 @@ def edit(folder: Path, **changes) -> None:
     path.write_text(json.dumps({k: v for k, v in config.items() if v is not None}))
 
 
+def edit_network(folder: Path, **changes) -> None:
+    network = json.loads((folder / "policy.json").read_text())["network"]
+    edit(folder, network=network | changes)
+
+
 def test_round_trip_is_bit_equal(folder, actor):
-    loaded, preference_space, card = load_policy(folder)
+    policy = load_policy(folder)
+    loaded = policy.actor
     data = inputs(64)
     expected, action = actor(data.clone()), loaded(data.clone())
     assert torch.equal(action["action"], expected["action"])
     assert torch.equal(action["pre_tanh"], expected["pre_tanh"])
-    assert (preference_space, card) == (SPACE, CARD)
+    assert (policy.preference_space, policy.card) == (SPACE, CARD)
     assert not loaded.training
     assert not any(parameter.requires_grad for parameter in loaded.parameters())
 
@@ -83,8 +83,7 @@ def test_folder_holds_two_files_that_anyone_can_read(folder, actor):
 
 
 def test_loaded_policy_can_be_saved_again(folder, tmp_path):
-    loaded, _, _ = load_policy(folder)
-    copy = save(tmp_path / "copy", loaded)
+    copy = save(tmp_path / "copy", load_policy(folder).actor)
     for name in ("policy.json", "policy.safetensors"):
         assert (copy / name).read_bytes() == (folder / name).read_bytes()
 
@@ -94,7 +93,7 @@ def test_nothing_is_overwritten(folder, actor, name):
     other = "policy.json" if name == "policy.safetensors" else "policy.safetensors"
     (folder / other).unlink()  # one file is enough to refuse
     before = (folder / name).read_bytes()
-    with pytest.raises(FileExistsError, match=f"{re.escape(name)} exists and is not overwritten"):
+    with pytest.raises(FileExistsError, match="policy exists and is not overwritten"):
         save(folder, actor, card={})
     assert (folder / name).read_bytes() == before
     assert not (folder / other).exists()
@@ -105,7 +104,7 @@ def test_file_is_json_for_every_reader(tmp_path, actor):
     folder = save(tmp_path / "policy", actor, card=card)
     text = (folder / "policy.json").read_text()
     assert "NaN" not in text and "Infinity" not in text
-    assert load_policy(folder)[2] == {"time": [1.5, None], "nested": {"score": [None, 2]}}
+    assert load_policy(folder).card == {"time": [1.5, None], "nested": {"score": [None, 2]}}
 
 
 def test_card_that_is_not_json_leaves_nothing_behind(tmp_path, actor):
@@ -146,41 +145,23 @@ def test_json_that_is_no_object(folder, text):
         load_policy(folder)
 
 
-@pytest.mark.parametrize("key", ["format", "objectives", "static", "num_cells"])
+@pytest.mark.parametrize("key", ["format", "objectives", "static", "network", "checksum", "period"])
 def test_missing_entry(folder, key):
     edit(folder, **{key: None})
-    with pytest.raises(ValueError, match=rf"policy\.json is not a policy: {key} missing"):
+    with pytest.raises(ValueError, match=rf"policy\.json.* '?{key}"):
         load_policy(folder)
 
 
-@pytest.mark.parametrize("version", [0, 2, "1"])
+@pytest.mark.parametrize("version", [0, 3, "1", True, 1.0])
 def test_other_format(folder, version):
     edit(folder, format=version)
-    with pytest.raises(ValueError, match=f"has format {version}, this version reads 1"):
-        load_policy(folder)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("objectives", []),
-        ("static", {"comfort": 1.0}),
-        ("static", [1.0]),
-        ("observation_size", "5"),
-        ("action_size", -1),
-        ("num_cells", 16),
-        ("num_cells", ["16", "8"]),
-    ],
-)
-def test_entry_that_makes_no_sense(folder, key, value):
-    edit(folder, **{key: value})
-    with pytest.raises(ValueError, match=r"policy\.json"):
+    with pytest.raises(ValueError, match=f"has format {version!r}, this version reads 1 to 2"):
         load_policy(folder)
 
 
 def test_missing_card_is_empty(folder):
     edit(folder, card=None)
-    assert load_policy(folder)[2] == {}
+    assert load_policy(folder).card == {}
 
 
 class Bomb:
@@ -217,15 +198,15 @@ def test_empty_weights(folder):
 
 
 def test_weights_of_another_size(folder):
-    edit(folder, num_cells=[16, 9])
-    message = r"policy\.safetensors does not fit policy\.json: .*shape \(9,\) and has \(8,\)"
-    with pytest.raises(ValueError, match=message):
+    edit_network(folder, num_cells=[16, 9])
+    message = r"policy\.safetensors does not fit policy\.json: .*should be float32 of shape \(9,\) "
+    with pytest.raises(ValueError, match=message + r"and is float32 of shape \(8,\)"):
         load_policy(folder)
 
 
 def test_weights_of_another_depth(folder):
-    edit(folder, num_cells=[16])
-    with pytest.raises(ValueError, match=r"does not fit .* \(4 entries differ\)"):
+    edit_network(folder, num_cells=[16])
+    with pytest.raises(ValueError, match=r"does not fit .* 6 entries, for 1 hidden layers"):
         load_policy(folder)
 
 
@@ -235,30 +216,8 @@ def test_weights_that_are_not_finite(folder):
     name = "module.0.module.0.weight"
     weights[name][3, 2] = torch.nan
     save_file(weights, path)
+    edit(folder, checksum=hashlib.sha256(path.read_bytes()).hexdigest())
     with pytest.raises(
         ValueError, match=rf"policy\.safetensors .*{re.escape(name)}'\[3, 2\] = nan"
     ):
         load_policy(folder)
-
-
-@pytest.mark.parametrize("key", ["observation", "preference"])
-def test_input_that_is_not_finite_is_named(folder, key):
-    loaded, _, _ = load_policy(folder)
-    data = inputs(4, 3)
-    loaded(data.clone())
-    data[key][2, 1, 1] = torch.nan
-    message = re.escape(f"{key!r}[2, 1, 1] = nan must be finite")
-    with pytest.raises(ValueError, match=message):
-        loaded(data.clone())
-    with pytest.raises(ValueError, match=message):
-        loaded(data["observation"], data["preference"])
-    with pytest.raises(ValueError, match=message):
-        loaded(observation=data["observation"], preference=data["preference"])
-    with pytest.raises(ValueError, match=message):
-        loaded(tensordict=data)
-
-
-def test_missing_input_is_named(folder):
-    loaded, _, _ = load_policy(folder)
-    with pytest.raises(KeyError, match="preference"):
-        loaded(inputs(4).exclude("preference"))

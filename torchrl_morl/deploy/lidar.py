@@ -1,0 +1,174 @@
+"""Sectors from the scan of any planar lidar."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .sensing import Sensing
+
+__all__ = ["LidarGeometry"]
+
+_EDGE = 1e-4
+"""Share of a sector within which a beam before its start belongs to it: angles are rounded."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LidarGeometry:
+    """Where the beams of a planar lidar point, and which of its readings mean something.
+
+    The fields are those of ROS's ``sensor_msgs/LaserScan``. A reading is
+
+    ==================================  ============================================================
+    reading                             meaning
+    ==================================  ============================================================
+    ``range_min`` to ``range_max``      an obstacle at that distance
+    inf, ``range_max`` and above        free (`REP 117 <https://www.ros.org/reps/rep-0117.html>`_)
+    -inf                                an obstacle too close to be measured: at ``range_min``
+    NaN, 0, negative, below             invalid: as if the beam did not exist
+    ==================================  ============================================================
+
+    Args:
+        first_angle: of beam 0, radians, counter-clockwise from the lidar's own x axis.
+        increment: from beam to beam, radians; negative for a clockwise scan, or for a lidar that is
+            mounted upside down.
+        num_beams: of a scan.
+        range_min: nearest valid range, metres.
+        range_max: furthest one, metres.
+        mount: of the lidar in the frame of the robot, whose origin is the rotation centre: x ahead
+            and y to the left (m), yaw (rad).
+
+    Raises:
+        ValueError: for values that are not finite, no beams, or more than a revolution of them.
+
+    Example:
+        >>> import numpy as np
+        >>> lidar = LidarGeometry(-np.pi / 2, np.pi / 4, 5, range_min=0.1, range_max=8.0)
+        >>> lidar.sectors([3.0, 0.0, 2.0, np.inf, 1.0], num_sectors=4, max_range=4.0)
+        array([ 2.,  1., nan,  3.])
+    """
+
+    first_angle: float
+    increment: float
+    num_beams: int
+    range_min: float
+    range_max: float
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mount", tuple(self.mount))
+        for name in ("first_angle", "increment", "range_min", "range_max"):
+            if not math.isfinite(getattr(self, name)):
+                raise self._refused(name, "finite")
+        if len(self.mount) != 3 or not all(map(math.isfinite, self.mount)):
+            raise self._refused("mount", "x, y and yaw, all finite")
+        if isinstance(self.num_beams, bool) or int(self.num_beams) != self.num_beams:
+            raise self._refused("num_beams", "an integer")
+        if self.num_beams < 1:
+            raise self._refused("num_beams", "at least 1")
+        if self.increment == 0:
+            raise self._refused("increment", "different from 0")
+        # Drivers may report the first beam again as the last one.
+        if abs(self.increment) * (self.num_beams - 1) > 2 * math.pi + 1e-3:
+            raise ValueError(
+                f"lidar: {self.num_beams} beams every {self.increment:g} rad are more than a "
+                "revolution: is the increment in radians?"
+            )
+        if not 0 <= self.range_min < self.range_max:
+            raise self._refused("range_min", f"between 0 and range_max, {self.range_max:g}")
+
+    def sectors(
+        self,
+        ranges: ArrayLike,
+        num_sectors: int,
+        max_range: float,
+        origin: tuple[float, float] = (0.0, 0.0),
+    ) -> np.ndarray:
+        """Shortest range in each sector around a point of the robot.
+
+        Beams are sorted by angle, not resampled: an edge that one beam grazes is kept. If the lidar
+        is not mounted at ``origin``, the end points of its beams are seen from there.
+
+        Args:
+            ranges: ``[*B, num_beams]``, metres.
+            num_sectors: around the robot; the first starts straight ahead, the others follow
+                counter-clockwise.
+            max_range: what is free, or further, reads so, metres.
+            origin: x and y of that point in the frame of the robot, metres.
+
+        Returns:
+            ``[*B, num_sectors]``, float64, metres; NaN for a sector without a valid beam, of which
+            nothing is known.
+
+        Raises:
+            ValueError: for a scan with another number of beams, or one that is not numbers.
+        """
+        ranges = self._array(ranges)
+        batch = ranges.shape[:-1]
+        ranges = ranges.reshape(-1, self.num_beams)
+        valid = (ranges >= self.range_min) & (ranges > 0)  # not NaN
+        too_close = ranges == -math.inf
+        free = ranges >= self.range_max
+        length = np.where(too_close, self.range_min, np.where(free, max_range, ranges))
+        valid |= too_close
+        x, y, _ = self.mount
+        ahead, left = x - origin[0], y - origin[1]
+        if math.hypot(ahead, left) < 1e-9:
+            angle = np.broadcast_to(self._angles, ranges.shape)
+            length = np.minimum(length, max_range)
+        else:
+            with np.errstate(invalid="ignore"):
+                point_x = ahead + length * self._directions[0]
+                point_y = left + length * self._directions[1]
+            angle = np.arctan2(point_y, point_x)
+            length = np.where(free, max_range, np.minimum(np.hypot(point_x, point_y), max_range))
+        with np.errstate(invalid="ignore"):
+            sector = np.floor(angle * (num_sectors / (2 * math.pi)) + _EDGE)
+        out = np.full(len(ranges) * num_sectors, np.inf)
+        row, beam = valid.nonzero()
+        at = row * num_sectors + sector[row, beam].astype(np.int64) % num_sectors
+        np.minimum.at(out, at, length[row, beam])
+        out[np.isinf(out)] = np.nan
+        return out.reshape(*batch, num_sectors)
+
+    def check(self, sensing: Sensing) -> None:
+        """Refuse a lidar that leaves gaps between its beams as wide as a sector.
+
+        Raises:
+            ValueError: if sectors within the field of view stay without a beam.
+        """
+        width = 2 * math.pi / sensing.num_sectors
+        if abs(self.increment) > width * (1 + _EDGE):
+            raise ValueError(
+                f"lidar: beams every {math.degrees(abs(self.increment)):.1f} degrees leave sectors of "
+                f"{math.degrees(width):.1f} degrees without one: the policy needs at least "
+                f"{sensing.num_sectors} beams a revolution."
+            )
+
+    @functools.cached_property
+    def _angles(self) -> np.ndarray:
+        """Of the beams in the frame of the robot, radians."""
+        return self.mount[2] + self.first_angle + self.increment * np.arange(self.num_beams)
+
+    @functools.cached_property
+    def _directions(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.cos(self._angles), np.sin(self._angles)
+
+    def _array(self, ranges: ArrayLike) -> np.ndarray:
+        try:
+            ranges = np.asarray(ranges, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError("ranges must be numbers, one a beam.") from error
+        if ranges.ndim == 0 or ranges.shape[-1] != self.num_beams:
+            raise ValueError(
+                f"ranges must have shape [..., {self.num_beams}], one a beam, "
+                f"got {list(ranges.shape)}."
+            )
+        return ranges
+
+    def _refused(self, name: str, allowed: str) -> ValueError:
+        return ValueError(f"lidar: {name} must be {allowed}, got {getattr(self, name)}.")

@@ -1,0 +1,192 @@
+"""What a policy senses and what it commands: the contract between training and robot."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+from .files import Entries
+
+__all__ = ["Limits", "Sensing"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Sensing:
+    """What a policy was trained to sense. Lengths in metres, angles in radians.
+
+    The frame of the robot has its origin at the rotation centre, x ahead and y to the left; angles
+    grow counter-clockwise. Goal and human are measured from the rotation centre, ranges from
+    :attr:`lidar_origin`.
+
+    Args:
+        num_sectors: of the lidar: sector ``k`` covers the bearings from ``k`` to ``k + 1`` times its
+            width, counter-clockwise from straight ahead, and is the shortest range in it.
+        max_range: of the lidar in training. What is free, or further, reads so.
+        lidar_origin: where ranges are measured from, x and y.
+        goal_scale: distance to the goal that the network sees as 1.
+        human_scale: distance to the human that the network sees as 1.
+        observe_human: whether the policy reads where the human is. The lidar sees them anyway.
+        observe_human_velocity: whether it reads the human's velocity.
+        goal_range: distances to the goal in training, shortest and longest. Longer ones are clamped.
+        human_range: the same for the human.
+        nobody: distance and bearing of the human that stands for nobody.
+        unknown_range: what a sector of which nothing is known reads.
+        history: observations that the policy reads, the present one included.
+
+    Raises:
+        ValueError: for a value outside what is said above; the message names it.
+
+    Example:
+        >>> Sensing(observe_human_velocity=True).observation_size
+        38
+        >>> Sensing(max_range=0.0)
+        Traceback (most recent call last):
+        ...
+        ValueError: sensing: max_range must be finite and positive, got 0.0.
+    """
+
+    num_sectors: int = 30
+    max_range: float = 4.0
+    lidar_origin: tuple[float, float] = (0.0, 0.0)
+    goal_scale: float = 5.0
+    human_scale: float = 2.0
+    observe_human: bool = True
+    observe_human_velocity: bool = False
+    goal_range: tuple[float, float] = (0.3, 12.0)
+    human_range: tuple[float, float] = (0.4, 8.0)
+    nobody: tuple[float, float] = (8.0, math.pi)
+    unknown_range: float = 4.0
+    history: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("max_range", "goal_scale", "human_scale", "unknown_range"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise self._refused(name, "finite and positive")
+        for name in ("goal_range", "human_range"):
+            low, high = getattr(self, name)
+            if not 0 <= low < high < math.inf:
+                raise self._refused(name, "two distances in ascending order")
+        for name in ("lidar_origin", "nobody"):
+            if len(getattr(self, name)) != 2 or not all(map(math.isfinite, getattr(self, name))):
+                raise self._refused(name, "two finite numbers")
+        if self.nobody[0] <= 0:
+            raise self._refused("nobody", "at a positive distance")
+        if self.unknown_range > self.max_range:
+            raise self._refused("unknown_range", f"at most max_range, {self.max_range}")
+        if not 1 <= self.num_sectors <= 10_000:
+            raise self._refused("num_sectors", "between 1 and 10000")
+        if self.observe_human_velocity and not self.observe_human:
+            raise self._refused("observe_human_velocity", "false where observe_human is")
+        if self.history != 1:
+            raise self._refused("history", "1: this version has no memory")
+
+    @property
+    def observation_size(self) -> int:
+        """Entries of the network's observation."""
+        human = 3 * self.observe_human + 2 * self.observe_human_velocity
+        return self.num_sectors + 3 + human
+
+    def check(self, available: Sensing, source: str = "this environment") -> None:
+        """Refuse what shows a policy something else than it was trained with.
+
+        Args:
+            available: what is shown.
+            source: what messages call that.
+
+        Raises:
+            ValueError: the message says what to change.
+        """
+        for name, reads in (
+            ("observe_human", "where the human is"),
+            ("observe_human_velocity", "the human's velocity"),
+        ):
+            mine, theirs = getattr(self, name), getattr(available, name)
+            if mine != theirs:
+                verb = "reads" if mine else "does not read"
+                raise ValueError(
+                    f"this policy {verb} {reads}: {name}={mine} ({source} has {theirs})."
+                )
+        for name in ("num_sectors", "max_range", "goal_scale", "human_scale", "history"):
+            mine, theirs = getattr(self, name), getattr(available, name)
+            if mine != theirs:
+                raise ValueError(
+                    f"this policy was trained with {name}={mine}, {source} has {theirs}: "
+                    f"set {name}={mine}."
+                )
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_json(cls, entries: Entries) -> Sensing:
+        """From JSON values.
+
+        Raises:
+            ValueError: for an entry that is missing, unknown or of another type.
+        """
+        readers = {bool: entries.flag, float: entries.number, int: entries.integer}
+        values: dict[str, Any] = {}
+        for field in dataclasses.fields(cls):
+            if isinstance(field.default, tuple):
+                values[field.name] = entries.numbers(field.name, 2)
+            else:
+                values[field.name] = readers[type(field.default)](field.name)
+        _refuse_unknown(entries, values)
+        return cls(**values)
+
+    def _refused(self, name: str, allowed: str) -> ValueError:
+        return ValueError(f"sensing: {name} must be {allowed}, got {getattr(self, name)}.")
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """What a policy commands at the ends of its action, [-1, 1].
+
+    Args:
+        speed: forward, slowest and fastest, m/s.
+        turn_rate: to the right (negative) and to the left, rad/s.
+
+    Raises:
+        ValueError: for a pair that is not finite and in ascending order.
+
+    Example:
+        >>> Limits(speed=(0.5, 0.0))
+        Traceback (most recent call last):
+        ...
+        ValueError: limits: speed must be two finite numbers in ascending order, got (0.5, 0.0).
+    """
+
+    speed: tuple[float, float] = (0.0, 0.5)
+    turn_rate: tuple[float, float] = (-math.pi, math.pi)
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            low, high = getattr(self, field.name)
+            if not -math.inf < low < high < math.inf:
+                raise ValueError(
+                    f"limits: {field.name} must be two finite numbers in ascending order, "
+                    f"got {(low, high)}."
+                )
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON values."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_json(cls, entries: Entries) -> Limits:
+        """From JSON values.
+
+        Raises:
+            ValueError: for an entry that is missing, unknown or of another type.
+        """
+        values = {field.name: entries.numbers(field.name, 2) for field in dataclasses.fields(cls)}
+        _refuse_unknown(entries, values)
+        return cls(**values)
+
+
+def _refuse_unknown(entries: Entries, known: dict[str, Any]) -> None:
+    for name in entries:
+        if name not in known:
+            raise ValueError(f"{entries.where}: unknown entry {name[:80]!r}.")
