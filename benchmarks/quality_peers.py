@@ -179,9 +179,6 @@ class Peer:
             folder,
             actor,
             preference_space=self.preference_space,
-            observation_size=observation_size,
-            action_size=2,
-            num_cells=tuple(CELLS),
             card=card,
         )
 

@@ -16,15 +16,18 @@ POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "navigation"
 
 def main(episodes: int = 20, seed: int = 7) -> None:
     """Print how the policy does under each preference for one objective alone."""
-    actor, space, _ = load_policy(POLICY)
+    policy = load_policy(POLICY)
     env = make_policy_env(
-        PreferenceSampler(space), scene=SCENE, num_envs=episodes, keep_simulation=True
+        PreferenceSampler(policy.preference_space),
+        scene=SCENE,
+        num_envs=episodes,
+        keep_simulation=True,
     )
-    preferences = space.corners()
-    rollout = rollout_preferences(env, actor, preferences, max_steps=300, seed=seed)
+    preferences = policy.preference_space.corners()
+    rollout = rollout_preferences(env, policy.actor, preferences, max_steps=300, seed=seed)
     for preference, metrics in zip(preferences, episode_metrics(rollout)):
         print(
-            f"{space.tunable[preference.argmax()]:>10}: "
+            f"{policy.preference_space.tunable[preference.argmax()]:>10}: "
             f"{int(metrics['success'].sum())} of {episodes} at the goal, "
             f"{metrics['time'].nanmean():.1f} s, "
             f"{metrics['min_human_distance'].mean():.2f} m from the human"

@@ -21,15 +21,18 @@ def main(episodes: int = 20, seed: int = 7) -> None:
     returns = (env.reset()["scan"] < env.max_range).float().sum(-1)
     print(f"{env.robot.name}: {returns.mean():.0f} of its 541 beams meet something at the start")
 
-    actor, space, _ = load_policy(POLICY)
+    policy = load_policy(POLICY)
     env = make_policy_env(
-        PreferenceSampler(space), robot=ROBOT, num_envs=episodes, keep_simulation=True
+        PreferenceSampler(policy.preference_space),
+        robot=ROBOT,
+        num_envs=episodes,
+        keep_simulation=True,
     )
-    preferences = space.corners()
-    rollout = rollout_preferences(env, actor, preferences, max_steps=300, seed=seed)
+    preferences = policy.preference_space.corners()
+    rollout = rollout_preferences(env, policy.actor, preferences, max_steps=300, seed=seed)
     for preference, metrics in zip(preferences, episode_metrics(rollout)):
         print(
-            f"{space.tunable[preference.argmax()]:>10}: "
+            f"{policy.preference_space.tunable[preference.argmax()]:>10}: "
             f"{int(metrics['success'].sum())} of {episodes} at the goal, "
             f"{metrics['time'].nanmean():.1f} s, "
             f"{metrics['min_human_distance'].mean():.2f} m from the human"

@@ -74,16 +74,18 @@ def main() -> None:
 
     torch.set_num_threads(1)
     try:
-        actor, preference_space, card = load_policy(args.policy)
-        setting = choose(card, scene=args.scene, robot=args.robot, drive=args.drive)
+        policy = load_policy(args.policy)
+        setting = choose(policy.card, scene=args.scene, robot=args.robot, drive=args.drive)
         if args.preferences:
-            preferences = parse_preferences(args.preferences, preference_space)
+            preferences = parse_preferences(args.preferences, policy.preference_space)
         elif args.grid:
-            preferences = preference_space.pairwise_grid(11)
+            preferences = policy.preference_space.pairwise_grid(11)
         else:
             # From the last objective to the one before it: efficiency to distance.
-            last = preference_space.tunable[-1]
-            preferences = edge(preference_space, last, preference_space.tunable[-2:][0])
+            last = policy.preference_space.tunable[-1]
+            preferences = edge(
+                policy.preference_space, last, policy.preference_space.tunable[-2:][0]
+            )
         faults = Faults(args.range_noise, args.dropout, args.velocity_noise, args.latency)
         if args.episodes < 1:
             raise ValueError(f"--episodes must be at least 1, got {args.episodes}.")
@@ -91,13 +93,13 @@ def main() -> None:
         parser.error(str(error))
     with tqdm.tqdm(total=len(preferences), unit="preference") as progress:
         result = sweep(
-            actor,
-            preference_space,
+            policy.actor,
+            policy.preference_space,
             preferences,
             episodes=args.episodes,
             seed=args.seed,
             faults=faults,
-            demonstrator=demonstrator(card, setting.robot),
+            demonstrator=demonstrator(policy.card, setting.robot),
             on_preference=lambda _: progress.update(),
             **setting.arguments,
         )
@@ -110,7 +112,7 @@ def main() -> None:
         f"collisions {100 * collisions.float().mean():.2f} %, "
         f"timeouts {100 * metrics['timeout'].float().mean():.2f} %"
     )
-    if "efficiency" in preference_space.tunable:
+    if "efficiency" in policy.preference_space.tunable:
         print(time_beside_the_straight_line(result, setting))
 
 

@@ -39,15 +39,15 @@ def main() -> None:
         parser.error(f"{args.output} exists and is not overwritten: choose another name.")
     torch.set_num_threads(1)
     try:
-        actor, preference_space, card = load_policy(args.policy)
-        setting = choose(card, scene=args.scene, robot=args.robot)
+        policy = load_policy(args.policy)
+        setting = choose(policy.card, scene=args.scene, robot=args.robot)
     except (OSError, ValueError) as error:
         parser.error(str(error))
     movie = film(
         args.output,
-        actor,
-        preference_space,
-        preference_space.corners(),
+        policy.actor,
+        policy.preference_space,
+        policy.preference_space.corners(),
         seed=args.seed,
         **setting.arguments,
     )

@@ -176,17 +176,17 @@ class Comparison:
 def compare(policy: Path, dataset: Path, *, episodes: int, seed: int = 7) -> Comparison:
     """Drive the corner preferences of a policy in fresh scenes, with boxes and without."""
     torch.set_num_threads(1)
-    actor, preference_space, card = load_policy(policy)
-    setting = choose(card)
+    loaded = load_policy(policy)
+    setting = choose(loaded.card)
     data, _ = load_demonstrations(dataset)
-    corners = preference_space.corners()
+    corners = loaded.preference_space.corners()
     results: list[Sweep] = []
     with tqdm.tqdm(total=2 * len(corners), desc="evaluation", unit="preference") as progress:
         for scene in (setting.scene, SCENES["empty"]):
             results.append(
                 sweep(
-                    actor,
-                    preference_space,
+                    loaded.actor,
+                    loaded.preference_space,
                     corners,
                     episodes=episodes,
                     seed=seed,
@@ -197,7 +197,7 @@ def compare(policy: Path, dataset: Path, *, episodes: int, seed: int = 7) -> Com
     drives = [
         {
             name: style.of_sweep(result.paths, result.scenes, row)
-            for row, name in enumerate(preference_space.tunable)
+            for row, name in enumerate(loaded.preference_space.tunable)
         }
         for result in results
     ]
@@ -205,7 +205,7 @@ def compare(policy: Path, dataset: Path, *, episodes: int, seed: int = 7) -> Com
     return Comparison(
         style.of_demonstrations(data),
         *drives,
-        success=dict(zip(preference_space.tunable, success, strict=True)),
+        success=dict(zip(loaded.preference_space.tunable, success, strict=True)),
     )
 
 

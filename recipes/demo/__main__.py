@@ -35,21 +35,21 @@ def main() -> None:
     args = parser.parse_args()
 
     torch.set_num_threads(1)
-    actor, preference_space, card = load_policy(args.policy)
-    setting = choose(card)
-    shown = demonstrator(card, setting.robot)
+    policy = load_policy(args.policy)
+    setting = choose(policy.card)
+    shown = demonstrator(policy.card, setting.robot)
     showroom = {**setting.arguments, "scene": "showcase"}
     args.output.mkdir(parents=True, exist_ok=True)
 
     # The rows of the paper: each trades two objectives off, the others have no weight.
-    edges = preference_space.pairwise_grid(args.steps).unflatten(0, (-1, args.steps))
+    edges = policy.preference_space.pairwise_grid(args.steps).unflatten(0, (-1, args.steps))
     rows = []
     print(f"{len(edges)} sweeps of {args.steps} preferences x {args.episodes} scenes")
     with tqdm.tqdm(total=len(edges) * args.steps, unit="preference") as progress:
         for preferences in edges:
             statistics = sweep(
-                actor,
-                preference_space,
+                policy.actor,
+                policy.preference_space,
                 preferences,
                 episodes=args.episodes,
                 seed=args.seed,
@@ -58,15 +58,17 @@ def main() -> None:
                 **setting.arguments,
             )
             showcase = sweep(
-                actor,
-                preference_space,
+                policy.actor,
+                policy.preference_space,
                 preferences,
                 episodes=1,
                 seed=0,
                 demonstrator=shown,
                 **showroom,
             )
-            first, second = (preference_space.tunable[preferences[i].argmax()] for i in (0, -1))
+            first, second = (
+                policy.preference_space.tunable[preferences[i].argmax()] for i in (0, -1)
+            )
             rows.append(Row(first, second, showcase, statistics))
     for row in rows:
         print(f"\nfrom {row.first} to {row.second}")
@@ -76,8 +78,13 @@ def main() -> None:
     figure = args.output / "trajectories.png"
     sweep_figure(figure, rows, goal_radius=setting.goal_radius)
     # From the last objective to the one before it: quick, then wide.
-    before, after = preference_space.tunable[-1], preference_space.tunable[-2:][0]
-    change = switch(actor, preference_space, edge(preference_space, before, after, 2), **showroom)
+    before, after = policy.preference_space.tunable[-1], policy.preference_space.tunable[-2:][0]
+    change = switch(
+        policy.actor,
+        policy.preference_space,
+        edge(policy.preference_space, before, after, 2),
+        **showroom,
+    )
     switched = args.output / "switch.png"
     switch_figure(
         switched,
@@ -98,9 +105,9 @@ def main() -> None:
         )
     movie = film(
         args.output / "sweep.gif",
-        actor,
-        preference_space,
-        preference_space.corners(),
+        policy.actor,
+        policy.preference_space,
+        policy.preference_space.corners(),
         **showroom,
     )
     print(f"Pictures: {figure}, {switched}; film: {movie}")

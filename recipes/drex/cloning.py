@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional as F
 from torchrl.objectives import BCLoss
 
-from envs.policy_env import observation_size
+from envs.policy_env import contract, observation_size
 from recipes.training.checkpoint import Checkpoints, Counters
 from recipes.training.task import make_preference_space
 from torchrl_morl.deploy import save_policy
@@ -116,8 +116,6 @@ def save_clone(
         folder,
         actor,
         preference_space=preference_space,
-        observation_size=size,
-        action_size=ACTION_SPEC.shape[-1],
-        num_cells=num_cells,
+        **contract(cfg.env),
         card=metadata(cfg) | card | {"preference": "ignored"},
     )

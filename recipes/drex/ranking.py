@@ -176,8 +176,5 @@ def save_model(folder: Path, cfg: DictConfig, model: RewardModel, card: dict[str
     save_reward_model(
         folder,
         model,
-        in_features=model.in_features,
-        num_cells=tuple(cfg.reward_model.num_cells),
-        num_members=cfg.reward_model.num_members,
         card=metadata(cfg) | card,
     )

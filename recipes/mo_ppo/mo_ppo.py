@@ -48,14 +48,14 @@ from .start import check, check_start, complete
 @hydra.main(version_base="1.3", config_path="", config_name="config")
 def main(cfg: DictConfig) -> None:
     """Polish a policy, evaluate it on the way, and save what is evaluated."""
-    start, preference_space, card = load_policy(cfg.policy, device=cfg.device)
-    cfg = complete(cfg, card)
+    loaded = load_policy(cfg.policy, device=cfg.device)
+    cfg = complete(cfg, loaded.card)
     check(cfg)
     task = make_task(cfg)
-    check_start(cfg, task, start, preference_space)
+    check_start(cfg, task, loaded.actor, loaded.preference_space)
 
     # The policy is noise around the actor; the noise is all that PPO adds to it.
-    actor = copy.deepcopy(start).requires_grad_(True)
+    actor = copy.deepcopy(loaded.actor).requires_grad_(True)
     sigma = torch.tensor(list(cfg.collector.exploration_sigma), device=task.device)
     noisy, policy = make_policy(actor, sigma)
     critic = make_critic(cfg, task)
@@ -111,9 +111,9 @@ def main(cfg: DictConfig) -> None:
         # Advantages of every objective, weighed by the preference of the episode.
         with timeit("advantage"):
             advantage(data)
-            parts = data.select(*start.in_keys).split(ENVS_AT_ONCE)
+            parts = data.select(*loaded.actor.in_keys).split(ENVS_AT_ONCE)
             data["start_action"] = penalties.average_over_time(
-                torch.cat([start(part)["action"] for part in parts]),
+                torch.cat([loaded.actor(part)["action"] for part in parts]),
                 data["collector", "traj_ids"],
                 window=cfg.loss.anchor_window,
             )
@@ -158,7 +158,9 @@ def main(cfg: DictConfig) -> None:
                 task,
                 result,
                 # How the policy was trained that it started as.
-                start={name: card[name] for name in ("config", "start") if name in card},
+                start={
+                    name: loaded.card[name] for name in ("config", "start") if name in loaded.card
+                },
             )
             trajectories_picture(
                 task.run_dir / "pictures" / f"{frames:09d}.png",

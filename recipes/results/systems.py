@@ -116,16 +116,17 @@ def load_system(argument: str) -> System:
         return untrained(name, lambda robot: make_reference(reference, robot))
     paths = [Path(folder) for folder in folders.split(",")]
     policies = [load_policy(path) for path in paths]
-    seeds = _seeds([card for _, _, card in policies])
+    seeds = _seeds([policy.card for policy in policies])
     members, facts = [], []
-    for folder, seed, (actor, preference_space, card) in zip(paths, seeds, policies, strict=True):
+    for folder, seed, policy in zip(paths, seeds, policies, strict=True):
+        card = policy.card
         digest = hashlib.sha256((folder / "policy.safetensors").read_bytes()).hexdigest()
         source = f"{folder} sha256 {digest[:16]}"
         members.append(
-            Member(seed, lambda _, actor=actor: actor, source, trained_in(card).observed)
+            Member(seed, lambda _, actor=policy.actor: actor, source, trained_in(card).observed)
         )
         shown = {key: v for key, v in card.get("demonstrator", {}).items() if key != "robot"}
-        facts.append((preference_space, shown, card.get("preference") == "ignored"))
+        facts.append((policy.preference_space, shown, card.get("preference") == "ignored"))
     if any(fact != facts[0] for fact in facts):
         raise ValueError(
             f"{name}: the policies differ in more than their seed (objectives, demonstration)."

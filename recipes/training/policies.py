@@ -8,10 +8,9 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictSequential
-from torch import nn
 
 from envs.fields import portable
-from envs.policy_env import observation_size
+from envs.policy_env import contract
 from torchrl_morl.deploy import save_policy
 
 from .corners import CornerResult
@@ -45,9 +44,7 @@ def save_training_policy(
         folder,
         actor,
         preference_space=task.preference_space,
-        observation_size=observation_size(cfg.env),
-        action_size=2,
-        num_cells=tuple(m.out_features for m in actor[0].module if isinstance(m, nn.Linear))[:-1],
+        **contract(cfg.env),
         card=card,
     )
 

@@ -150,9 +150,11 @@ def test_peers_train_on_the_navigation_task(system, tmp_path):
     if system in time_to_quality.CAPQL:
         (folder,) = saved.iterdir()
         assert int(folder.name) == int(row["steps"])
-        _, preference_space, card = load_policy(folder)
-        assert preference_space.objectives == ("core", "distance", "efficiency")
-        assert card["config"]["env"]["scene"] == "static" and card["config"]["seed"] == 0
+        policy = load_policy(folder)
+        assert policy.preference_space.objectives == ("core", "distance", "efficiency")
+        assert (
+            policy.card["config"]["env"]["scene"] == "static" and policy.card["config"]["seed"] == 0
+        )
 
 
 @pytest.mark.parametrize("system", sorted({time_to_quality.OURS, *time_to_quality.PEERS}))
@@ -173,12 +175,14 @@ def test_the_policy_of_capql_is_saved_as_one_of_ours(tmp_path):
     env = quality_peers.make_env(0, 0.01, reward_model=model)
     peer = quality_peers.Peer("capql", env, seed=0, gamma=0.99)
     peer.save(tmp_path / "policy", {"score": 0.0})
-    actor, preference_space, _ = load_policy(tmp_path / "policy")
-    assert preference_space.objectives == ("core", "demo", "distance", "efficiency")
+    policy = load_policy(tmp_path / "policy")
+    assert policy.preference_space.objectives == ("core", "demo", "distance", "efficiency")
     data = TensorDict(
-        observation=torch.randn(5, 36), preference=preference_space.sample(5), batch_size=5
+        observation=torch.randn(5, 36), preference=policy.preference_space.sample(5), batch_size=5
     )
-    torch.testing.assert_close(actor(data.clone())["action"], peer.actor(data.clone())["action"])
+    torch.testing.assert_close(
+        policy.actor(data.clone())["action"], peer.actor(data.clone())["action"]
+    )
 
 
 def test_units_run():

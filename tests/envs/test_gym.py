@@ -64,7 +64,7 @@ def test_keywords_reach_the_simulation():
 
 def test_a_reward_model_adds_the_objective_demo(tmp_path):
     model = RewardModel(in_features=36 + 2, num_cells=(8,))
-    save_reward_model(tmp_path, model, in_features=36 + 2, num_cells=(8,), num_members=1, card={})
+    save_reward_model(tmp_path, model, card={})
     env = mo_gymnasium.make("torchrl_morl/Navigation-v0", reward_model=str(tmp_path))
     assert env.unwrapped.objectives == ("core", "demo", "distance", "efficiency")
     assert env.unwrapped.reward_dim == 4 and env.unwrapped.reward_space.shape == (4,)

@@ -146,20 +146,20 @@ def test_both_ablations_from_demonstrations_to_an_evaluated_policy(tmp_path, mon
     )
     folder = morl(tmp_path / "run", *demonstrations, WITHOUT_HUMAN)
     for policy in (folder / "policies" / "000000384", distilled / "behaviour_clone"):
-        actor, preference_space, card = load_policy(policy)
-        assert preference_space.tunable == ("demo", "distance", "efficiency")
-        assert actor[0].module[0].in_features == 33 + 3
-        assert observed_by(card)["observe_human"] is False
-        assert card["demonstrator"]["radius"] == 1.0
+        loaded = load_policy(policy)
+        assert loaded.preference_space.tunable == ("demo", "distance", "efficiency")
+        assert loaded.actor[0].module[0].in_features == 33 + 3
+        assert observed_by(loaded.card)["observe_human"] is False
+        assert loaded.card["demonstrator"]["radius"] == 1.0
         kwargs = {"episodes": 2, "seed": 0, "max_episode_steps": 5, "num_threads": 1}
-        demonstrator = CircleDemonstrator(**card["demonstrator"])
+        demonstrator = CircleDemonstrator(**loaded.card["demonstrator"])
         result = sweep(
-            actor,
-            preference_space,
-            preference_space.corners(),
+            loaded.actor,
+            loaded.preference_space,
+            loaded.preference_space.corners(),
             demonstrator=demonstrator,
             **kwargs,
-            **observed_by(card),
+            **observed_by(loaded.card),
         )
         assert result.metrics["frechet"].isfinite().all()
 
@@ -169,7 +169,7 @@ def test_both_ablations_from_demonstrations_to_an_evaluated_policy(tmp_path, mon
     assert not list((tmp_path / "refused").iterdir())
     other = config("pd_morl", (f"demonstrations.dataset={dataset}",))
     with pytest.raises(ValueError, match=r"demonstrations\.safetensors is about observations"):
-        prefill(other, make_task(preference_space, reward_model=model), None)
+        prefill(other, make_task(loaded.preference_space, reward_model=model), None)
 
 
 def test_the_saved_clone_does_what_the_clone_does_under_every_preference(tmp_path):
@@ -182,12 +182,12 @@ def test_the_saved_clone_does_what_the_clone_does_under_every_preference(tmp_pat
     )
     clone, _ = clone_behaviour(cfg, data)
     save_clone(tmp_path, cfg, clone, {"note": 1})
-    actor, preference_space, card = load_policy(tmp_path)
-    assert card["note"] == 1
+    policy = load_policy(tmp_path)
+    assert policy.card["note"] == 1
     expected = clone(data.select("observation"))["action"]
-    for preference in preference_space.corners():
+    for preference in policy.preference_space.corners():
         given = data.select("observation").set("preference", preference.expand(4, 10, 3))
-        torch.testing.assert_close(actor(given)["action"], expected)
+        torch.testing.assert_close(policy.actor(given)["action"], expected)
 
 
 def test_cards_that_do_not_tell_observe_the_human():
@@ -226,15 +226,15 @@ VARIANTS = {
 @pytest.mark.parametrize("name", VARIANTS)
 def test_variant_trains_and_is_evaluated_elsewhere(name, tmp_path):
     folder = morl(tmp_path / "run", *VARIANTS[name])
-    actor, preference_space, card = load_policy(folder / "policies" / "000000384")
+    policy = load_policy(folder / "policies" / "000000384")
     kwargs = {"episodes": 2, "seed": 0, "max_episode_steps": 5, "num_threads": 1}
     result = sweep(
-        actor,
-        preference_space,
-        preference_space.corners(),
+        policy.actor,
+        policy.preference_space,
+        policy.preference_space.corners(),
         scene="moving_human",
         **kwargs,
-        **observed_by(card),
+        **observed_by(policy.card),
     )
     assert result.metrics.shape == (2, 2)
 
@@ -261,11 +261,11 @@ INGREDIENTS = {
 @pytest.mark.parametrize("name", INGREDIENTS)
 def test_ingredient_of_pd_morl_trains(name, tmp_path):
     folder = morl(tmp_path / "run", *INGREDIENTS[name])
-    _, _, card = load_policy(folder / "policies" / "000000384")
+    policy = load_policy(folder / "policies" / "000000384")
     for override in INGREDIENTS[name]:
         section, key = override.split("=")[0].split(".")
         asked = OmegaConf.from_dotlist([override])
-        assert card["config"][section][key] == asked[section][key]
+        assert policy.card["config"][section][key] == asked[section][key]
     scalars = {path.stem for path in (folder / "log_csv" / "scalars" / "train").glob("*.csv")}
     assert {"loss_actor", "loss_qvalue"} <= scalars
     assert ("angle" in scalars) == (name != "angle off")

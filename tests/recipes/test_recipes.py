@@ -141,10 +141,10 @@ def test_last_and_best_checkpoint_can_be_loaded(trained):
     loss, averaged = Sink(), Sink()
     checkpoint = Checkpoint(loss=loss, averaged=averaged)
     checkpoint.load(rotation.latest(), components=["loss", "averaged"], strict="warn")
-    actor, _, _ = load_policy(folder / "policies" / "000000960")
-    for name, value in actor.state_dict().items():
+    policy = load_policy(folder / "policies" / "000000960")
+    for name, value in policy.actor.state_dict().items():
         assert torch.equal(averaged.state[f"module.{name}"], value)
-    weight = actor.state_dict()["module.0.module.0.weight"]
+    weight = policy.actor.state_dict()["module.0.module.0.weight"]
     latest = [value for value in _tensors(loss.state) if value.shape == weight.shape]
     assert latest
     assert not any(torch.equal(value, weight) for value in latest)
@@ -160,12 +160,12 @@ def test_policies_can_be_loaded(trained):
     names = sorted(path.name for path in (folder / "policies").iterdir())
     assert names == ["000000576", "000000960"]
     for name in names:
-        actor, preference_space, card = load_policy(folder / "policies" / name)
-        assert preference_space == SPACE
-        assert card["config"]["network"]["num_cells"] == [16, 16]
-        assert card["evaluation"]["preferences"] == list(CORNERS)
+        policy = load_policy(folder / "policies" / name)
+        assert policy.preference_space == SPACE
+        assert policy.card["config"]["network"]["num_cells"] == [16, 16]
+        assert policy.card["evaluation"]["preferences"] == list(CORNERS)
         data = TensorDict(observation=torch.zeros(2, OBSERVATION_SIZE), preference=torch.eye(2))
-        assert actor(data)["action"].abs().max() <= 1
+        assert policy.actor(data)["action"].abs().max() <= 1
 
 
 def test_one_seed_gives_one_policy(trained, tmp_path):
@@ -205,10 +205,10 @@ def test_compiled_gradients_train(trained, tmp_path):
 def test_trains_on_a_gpu(compute, tmp_path):
     result = train(tmp_path / "run", "device=cuda", *compute)
     assert result.returncode == 0, result.stderr
-    actor, _, _ = load_policy(tmp_path / "run" / "policies" / "000000960")
+    policy = load_policy(tmp_path / "run" / "policies" / "000000960")
     observation = torch.zeros(1, OBSERVATION_SIZE)
     data = TensorDict(observation=observation, preference=SPACE.corners()[:1], batch_size=1)
-    assert actor(data)["action"].isfinite().all()
+    assert policy.actor(data)["action"].isfinite().all()
 
 
 @pytest.mark.parametrize("given", [True, False])
@@ -277,9 +277,6 @@ def policy(tmp_path_factory) -> Path:
         tmp_path_factory.mktemp("policies") / "tiny",
         actor,
         preference_space=SPACE,
-        observation_size=OBSERVATION_SIZE,
-        action_size=2,
-        num_cells=(8,),
         card={},
     )
 

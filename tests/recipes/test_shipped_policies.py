@@ -18,18 +18,18 @@ FOLDERS = sorted((Path(__file__).resolve().parents[2] / "recipes" / "policies").
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_it_drives_a_second_in_the_environment_of_its_card(folder):
-    actor, preference_space, card = load_policy(folder)
-    config = card["config"]
+    policy = load_policy(folder)
+    config = policy.card["config"]
     scene = config.get("evaluation", {}).get("scene", config["env"]["scene"])
     env = make_policy_env(
-        PreferenceSampler(preference_space, seed=0),
+        PreferenceSampler(policy.preference_space, seed=0),
         num_envs=3,
         scene=scene,
         seed=0,
-        **observed_by(card),
+        **observed_by(policy.card),
     )
     with torch.no_grad():
-        rollout = env.rollout(5, actor, break_when_any_done=False)
+        rollout = env.rollout(5, policy.actor, break_when_any_done=False)
     env.close()
     way = (rollout["next", "pose"] - rollout["pose"])[..., :2].norm(dim=-1).sum(-1)
     assert (way > 0.2).all(), way

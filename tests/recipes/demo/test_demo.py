@@ -34,9 +34,6 @@ def policy(tmp_path_factory) -> Path:
         tmp_path_factory.mktemp("policies") / "tiny",
         actor,
         preference_space=preference_space,
-        observation_size=OBSERVATION_SIZE,
-        action_size=2,
-        num_cells=cells,
         card={"demonstrator": {"radius": 1.0, "side": "left", "speed": 0.5}},
     )
 

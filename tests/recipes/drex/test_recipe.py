@@ -139,7 +139,7 @@ def test_what_is_wrong_shows_before_anything_is_run(changes, message):
 
 
 def test_the_clone_is_evaluated_as_one_that_ignores_preferences(distilled):
-    assert load_policy(distilled / "behaviour_clone")[2]["preference"] == "ignored"
+    assert load_policy(distilled / "behaviour_clone").card["preference"] == "ignored"
 
 
 @pytest.mark.parametrize(("count", "updates"), [(12, 100), (12, 500), (1, 500)])
@@ -310,11 +310,11 @@ def test_demonstrations_become_an_objective(distilled, tmp_path):
             assert int(float(step)) == 576
             assert math.isfinite(float(value))
     policy = folder / "policies" / "000000576"
-    _, preference_space, card = load_policy(policy)
-    assert preference_space.tunable == ("demo", "distance", "efficiency")
-    assert card["evaluation"]["preferences"] == list(corners)
-    assert len(card["evaluation"]["frechet"]) == 4
-    assert CircleDemonstrator(**card["demonstrator"]).radius == 1.0
+    loaded = load_policy(policy)
+    assert loaded.preference_space.tunable == ("demo", "distance", "efficiency")
+    assert loaded.card["evaluation"]["preferences"] == list(corners)
+    assert len(loaded.card["evaluation"]["frechet"]) == 4
+    assert CircleDemonstrator(**loaded.card["demonstrator"]).radius == 1.0
 
 
 def test_prefilled_demonstrations_are_experience_under_their_own_preference(distilled):

@@ -135,9 +135,9 @@ def test_a_policy_learns_from_recorded_drives(distilled, tmp_path):
     )
     assert "frechet" not in out
     (policy,) = (tmp_path / "run" / "policies").iterdir()
-    _, preference_space, card = load_policy(policy)
-    assert preference_space.tunable == ("demo", "distance", "efficiency")
-    assert "demonstrator" not in card
+    loaded = load_policy(policy)
+    assert loaded.preference_space.tunable == ("demo", "distance", "efficiency")
+    assert "demonstrator" not in loaded.card
     table = printed(
         "recipes.evaluate", "--policy", policy, "--episodes", 1, "--preferences", "1,0,0"
     )

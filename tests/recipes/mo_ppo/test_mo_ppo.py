@@ -60,9 +60,6 @@ def small_policy(folder: Path, preference_space: PreferenceSpace = SPACE) -> Pat
         folder,
         actor,
         preference_space=preference_space,
-        observation_size=OBSERVATION_SIZE,
-        action_size=2,
-        num_cells=(8,),
         card={"config": CONFIG},
     )
 
@@ -83,7 +80,8 @@ def test_writes_policies_that_load(polished):
     start, folder = polished
     saved = sorted((folder / "policies").glob("*"))
     assert [path.name for path in saved] == ["000000064", "000000128"]
-    actor, preference_space, card = load_policy(saved[-1])
+    policy = load_policy(saved[-1])
+    actor, preference_space, card = policy.actor, policy.preference_space, policy.card
     assert preference_space == SPACE
     assert card["start"]["config"] == CONFIG
     assert card["config"]["loss"]["lmbda"] == 0.8
@@ -91,7 +89,7 @@ def test_writes_policies_that_load(polished):
     own = {"scene": "static", "num_envs": 4, "num_threads": 1, "repeat_failed": 0.25}
     assert card["config"]["env"] == CONFIG["env"] | own
     assert card["config"]["evaluation"]["scene"] == "static"
-    before, *_ = load_policy(start)
+    before = load_policy(start).actor
     assert actor.state_dict().keys() == before.state_dict().keys()
     assert any(
         not torch.equal(value, before.state_dict()[name])
@@ -110,8 +108,8 @@ def test_same_seed_same_policy(polished, tmp_path):
 def test_critic_learns_first(polished, tmp_path):
     start, _ = polished
     folder = run(tmp_path / "run", start, "optim.critic_batches=4")
-    actor, *_ = load_policy(folder / "policies" / "000000128")
-    before, *_ = load_policy(start)
+    actor = load_policy(folder / "policies" / "000000128").actor
+    before = load_policy(start).actor
     for name, value in actor.state_dict().items():
         assert torch.equal(value, before.state_dict()[name]), name
 
@@ -188,9 +186,9 @@ def test_trains_in_bfloat16(polished, tmp_path, monkeypatch):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
     rounded = run(tmp_path / "run", start, "compute.bfloat16=null")
     name = "policies/000000128"
-    cards = [load_policy(path / name)[2] for path in (folder, rounded)]
+    cards = [load_policy(path / name).card for path in (folder, rounded)]
     assert [card["bfloat16"] for card in cards] == [False, True]
-    weights = [load_policy(path / name)[0].state_dict() for path in (folder, rounded)]
+    weights = [load_policy(path / name).actor.state_dict() for path in (folder, rounded)]
     assert all(value.dtype == torch.float32 for value in weights[1].values())
     moved = [torch.equal(weights[0][key], weights[1][key]) for key in weights[0]]
     assert not all(moved)
@@ -203,7 +201,7 @@ def test_goes_on_from_the_last_checkpoint(polished, tmp_path):
     resumed = run(tmp_path / "run", start, *more)
     assert [path.name for path in (resumed / "policies").iterdir()] == ["000000192"]
     weights = [
-        load_policy(path)[0].state_dict()
+        load_policy(path).actor.state_dict()
         for path in (start, folder / "policies" / "000000128", resumed / "policies" / "000000192")
     ]
     for name, value in weights[2].items():
@@ -337,19 +335,17 @@ def test_refuses_a_policy_of_other_objectives(tmp_path):
 
 def test_asks_for_what_the_card_does_not_tell(polished, tmp_path):
     start, _ = polished
-    actor, preference_space, card = load_policy(start)
+    loaded = load_policy(start)
+    actor, preference_space, card = loaded.actor, loaded.preference_space, loaded.card
     del card["config"]["env"]["scene"], card["config"]["evaluation"]
     policy = save_policy(
         tmp_path / "policy",
         actor,
         preference_space=preference_space,
-        observation_size=OBSERVATION_SIZE,
-        action_size=2,
-        num_cells=(8,),
         card=card,
     )
     with pytest.raises(ValueError, match=r"does not say what it was trained in: give env\.scene\."):
         run(tmp_path / "run", policy)
     folder = run(tmp_path / "again", policy, "env.scene=corridor")
-    *_, card = load_policy(folder / "policies" / "000000128")
+    card = load_policy(folder / "policies" / "000000128").card
     assert card["config"]["evaluation"]["scene"] == "corridor"

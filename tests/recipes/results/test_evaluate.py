@@ -45,9 +45,6 @@ def save(folder, seed: int, **card):
         folder,
         actor,
         preference_space=SPACE,
-        observation_size=OBSERVATION_SIZE,
-        action_size=2,
-        num_cells=(8,),
         card={"config": {"seed": seed}} | card,
     )
 

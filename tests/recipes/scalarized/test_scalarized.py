@@ -77,9 +77,9 @@ def configuration(name: str, *overrides: str) -> DictConfig:
 
 
 def actions(folder: Path, observation: torch.Tensor, preference: torch.Tensor) -> torch.Tensor:
-    actor, preference_space, _ = load_policy(folder)
-    assert preference_space == SPACE
-    return actor(TensorDict(observation=observation, preference=preference))["action"]
+    policy = load_policy(folder)
+    assert policy.preference_space == SPACE
+    return policy.actor(TensorDict(observation=observation, preference=preference))["action"]
 
 
 # --- the scripts
@@ -134,17 +134,17 @@ def test_reward_model_adds_its_objective(tmp_path):
     cells = (8,)
     save_reward_model(
         tmp_path / "model",
-        RewardModel(in_features=OBSERVATION_SIZE + 2, num_cells=cells, num_members=1),
+        RewardModel(),
         in_features=OBSERVATION_SIZE + 2,
         num_cells=cells,
         num_members=1,
         card={"demonstrator": {"radius": 1.0, "side": "left", "speed": 0.5}},
     )
     folder = train("sac", tmp_path / "run", f"demonstrations.reward_model={tmp_path / 'model'}")
-    _, preference_space, card = load_policy(folder / "policies" / "000000288")
-    assert preference_space.tunable == ("demo", "distance", "efficiency")
-    assert card["demonstrator"]["radius"] == 1.0
-    assert "frechet" in card["evaluation"]
+    policy = load_policy(folder / "policies" / "000000288")
+    assert policy.preference_space.tunable == ("demo", "distance", "efficiency")
+    assert policy.card["demonstrator"]["radius"] == 1.0
+    assert "frechet" in policy.card["evaluation"]
 
 
 @pytest.mark.parametrize(
