@@ -84,7 +84,7 @@ def run(name: str, command: list[str]) -> float:
 
 def final_policy(run_dir: Path) -> Path:
     """The policy with the best score among those saved in the last fifth of the training."""
-    policies = sorted((run_dir / "policies").glob("*"))
+    policies = sorted((run_dir / "policies").glob("[!.]*"))
     if not policies:
         sys.exit(
             f"{run_dir / 'policies'} holds no policy: the training ended before its first update. "

@@ -10,6 +10,7 @@ from envs import Robot, Scene, get_robot, get_scene
 from envs.demonstrations import CircleDemonstrator
 from envs.mjcf import Drive
 from envs.policy_env import observed
+from torchrl_morl.deploy import training_config
 
 GOAL_RADIUS = 0.3
 """Where a card does not say otherwise, metres."""
@@ -53,8 +54,7 @@ def trained_in(card: Mapping[str, Any]) -> Setting:
         >>> str(trained_in({"config": {"env": {"robot": "hsr", "drive": "wheels"}}}))
         'scene static, robot hsr, drive wheels, goal radius 0.3 m'
     """
-    config = card.get("config") or {}
-    env, evaluation = config.get("env") or {}, config.get("evaluation") or {}
+    env, evaluation = (training_config(card, section) for section in ("env", "evaluation"))
     return Setting(
         scene=get_scene(evaluation.get("scene") or "static"),
         robot=get_robot(env.get("robot") or "turtlebot2"),

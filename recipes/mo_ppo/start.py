@@ -8,6 +8,7 @@ from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
 from recipes.training.task import Task, check_observation
+from torchrl_morl.deploy import training_config
 from torchrl_morl.preferences import PreferenceSpace
 
 
@@ -60,8 +61,7 @@ def complete(cfg: DictConfig, card: dict[str, Any]) -> DictConfig:
         ValueError: if the card does not tell.
     """
     cfg = cfg.copy()
-    trained_in = card.get("config", {})
-    evaluation, env = trained_in.get("evaluation", {}), dict(trained_in.get("env", {}))
+    evaluation, env = (training_config(card, section) for section in ("evaluation", "env"))
     if "scene" in evaluation:
         env["scene"] = evaluation["scene"]
     for part, trained in {"env": env, "evaluation": evaluation}.items():

@@ -159,7 +159,7 @@ def read_evaluations(directory: Path, condition: str) -> dict[str, Evaluation]:
         FileNotFoundError: if there is none.
         ValueError: if they did not drive in the same scenes.
     """
-    folders = sorted(path.parent for path in directory.glob(f"*/{condition}/{SUMMARY}"))
+    folders = sorted(path.parent for path in directory.glob(f"[!.]*/{condition}/{SUMMARY}"))
     if not folders:
         raise FileNotFoundError(
             f"No evaluation of {condition!r} in {directory}: make one with "

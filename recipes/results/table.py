@@ -165,7 +165,9 @@ def main() -> None:
     args = parser.parse_args()
     conditions = args.condition
     if not conditions:
-        conditions = sorted({path.parent.name for path in args.directory.glob("*/*/summary.json")})
+        conditions = sorted(
+            {path.parent.name for path in args.directory.glob("[!.]*/[!.]*/summary.json")}
+        )
     try:
         parts = [
             report(read_evaluations(args.directory, name), args.reference)

@@ -59,7 +59,7 @@ def card_config(cfg: DictConfig) -> dict[str, Any]:
 
 def finish(run_dir: Path, cfg: DictConfig) -> None:
     """Point to the results."""
-    policies = sorted((run_dir / "policies").glob("*"))
+    policies = sorted((run_dir / "policies").glob("[!.]*"))
 
     def score(folder: Path) -> float:
         return json.loads((folder / "policy.json").read_text())["card"]["score"]

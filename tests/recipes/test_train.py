@@ -32,6 +32,12 @@ def test_final_policy_is_the_best_of_the_last_fifth(scores, best, tmp_path):
     assert recipes.train.final_policy(tmp_path).name == f"{best * 1000:09d}"
 
 
+def test_a_policy_that_was_never_finished_is_none(tmp_path):
+    save_scores(tmp_path, [1, 2])
+    (tmp_path / "policies" / ".000003000.1a2b3c").mkdir()
+    assert recipes.train.final_policy(tmp_path).name == "000002000"
+
+
 @pytest.mark.parametrize("folder_exists", [False, True])
 def test_training_that_saved_no_policy_is_named(folder_exists, tmp_path):
     if folder_exists:

@@ -1,6 +1,6 @@
 """Policies and reward models outside training: what a robot runs, and files that are safe to open."""
 
-from .config import literal_config
+from .config import literal_config, training_config
 from .lidar import LidarGeometry
 from .policy import Policy, load_policy, save_policy
 from .reward_model import load_reward_model, save_reward_model
@@ -19,4 +19,5 @@ __all__ = [
     "load_reward_model",
     "save_policy",
     "save_reward_model",
+    "training_config",
 ]

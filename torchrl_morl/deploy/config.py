@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import reprlib
+from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["literal_config"]
+__all__ = ["literal_config", "training_config"]
 
 _INTERPOLATION = re.compile(r"(\\*)\$\{")
 
@@ -36,3 +38,32 @@ def literal_config(value: Any) -> Any:
         # Backslashes before it would escape the escape.
         return _INTERPOLATION.sub(lambda match: match[1] * 2 + "\\${", value)
     return value
+
+
+def training_config(card: Mapping[str, Any], section: str) -> dict[str, Any]:
+    """A section of the configuration that stands in a card, for OmegaConf.
+
+    Args:
+        card: of a policy.
+        section: ``"env"``, ``"evaluation"``, ...
+
+    Returns:
+        The section, see :func:`literal_config`; empty if the card has none.
+
+    Raises:
+        ValueError: if it is no object.
+
+    Example:
+        >>> training_config({"config": {"env": {"scene": "static"}}}, "env")
+        {'scene': 'static'}
+        >>> training_config({"config": {"env": "static"}}, "env")
+        Traceback (most recent call last):
+        ...
+        ValueError: card: config.env must be an object, got 'static'.
+    """
+    value = card
+    for key, name in (("config", "config"), (section, f"config.{section}")):
+        value = value.get(key, {})
+        if not isinstance(value, Mapping):
+            raise ValueError(f"card: {name} must be an object, got {reprlib.repr(value)}.")
+    return literal_config(dict(value))

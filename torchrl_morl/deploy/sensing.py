@@ -55,7 +55,7 @@ class Sensing:
     observe_human_velocity: bool = False
     goal_range: tuple[float, float] = (0.3, 12.0)
     human_range: tuple[float, float] = (0.4, 8.0)
-    nobody: tuple[float, float] = (8.0, math.pi)
+    nobody: tuple[float, float] = (4.0, math.pi)
     unknown_range: float = 4.0
     history: int = 1
 

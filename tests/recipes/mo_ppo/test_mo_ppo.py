@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import shutil
 from pathlib import Path
 
@@ -256,6 +257,35 @@ def test_refuses_a_checkpoint_that_does_not_say_where_it_stands(polished, tmp_pa
     with pytest.raises(ValueError, match=r"its checkpoint lacks \['schedule'\]"):
         run(tmp_path / "run", start, *more)
     assert not (tmp_path / "run" / "policies").exists()
+
+
+class Bomb:
+    """Leaves a file behind when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+def test_a_pickle_in_a_checkpoint_is_not_opened(polished, tmp_path):
+    start, folder = polished
+    other = tmp_path / "other"
+    shutil.copytree(folder / "checkpoints", other / "checkpoints")
+    for meta in list(other.rglob("meta.json")):
+        planted = meta.parent / "planted"
+        planted.mkdir()
+        (planted / "meta.json").write_text(
+            '{"_type": "<class \'tensordict.tensorclass.NonTensorData\'>"}'
+        )
+        (planted / "other.pickle").write_bytes(pickle.dumps(Bomb(tmp_path / "trace")))
+        values = json.loads(meta.read_text())
+        values["planted"] = {"type": "TensorDict"}
+        meta.write_text(json.dumps(values))
+    with pytest.raises(ValueError, match="it is not opened"):
+        run(tmp_path / "run", start, f"resume={other}", "collector.total_frames=192")
+    assert not (tmp_path / "trace").exists()
 
 
 def test_the_rate_falls_over_all_frames_of_a_training():

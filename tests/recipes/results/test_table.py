@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 
 import numpy as np
@@ -139,3 +140,18 @@ def test_the_table_says_what_is_missing(tmp_path, monkeypatch, capsys):
 def test_numbers_of_the_paper_have_a_column():
     assert set(paper.COLUMNS) <= set(QUANTITIES)
     assert all(len(row) == len(paper.COLUMNS) for row in paper.TABLE.values())
+
+
+def test_what_a_killed_evaluation_leaves_is_not_counted(output, tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "results"
+    shutil.copytree(output, folder)
+    for partial in (folder / "OUR" / ".static.4711", folder / ".OUR"):
+        shutil.copytree(output / "OUR" / "static", partial)
+    monkeypatch.setattr(sys, "argv", ["table", str(folder)])
+    table.main()
+    with_it = capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", ["table", str(shutil.copytree(output, tmp_path / "clean"))])
+    table.main()
+    assert with_it.replace(str(folder), "") == capsys.readouterr().out.replace(
+        str(tmp_path / "clean"), ""
+    )
