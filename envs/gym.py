@@ -18,12 +18,13 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs import ActionScaling, Compose, TransformedEnv
 
-from torchrl_morl.deploy import load_reward_model
+from torchrl_morl.deploy import Policy, load_reward_model
 from torchrl_morl.deploy.features import policy_transforms
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.transforms import RewardModelReward
 
 from .navigation import NavigationEnv
+from .policy_env import check_policy
 
 # Steps: longer than anything runs.
 _NO_LIMIT = 2**62
@@ -53,6 +54,8 @@ class NavigationGymEnv(gymnasium.Env):
         render_mode: ``"rgb_array"`` or ``None``.
 
     Keyword Args:
+        policy: that is to drive here: refused if it was trained to sense something else. It drives
+            under ``gymnasium.wrappers.RescaleAction(env, -1.0, 1.0)``.
         observe_human: without it the observation ends with the goal.
         observe_human_velocity: the human's velocity too, ahead and to the left, m/s.
         max_episode_steps: steps of 0.2 s before truncation; ``None`` leaves that to a
@@ -68,7 +71,8 @@ class NavigationGymEnv(gymnasium.Env):
         ValueError: for an unknown ``render_mode``, from :class:`NavigationEnv`, or for the velocity of a
             human who is not observed.
         FileNotFoundError: if the folder holds no reward model.
-        ValueError: for a reward model of another observation.
+        ValueError: for a reward model or a policy of another observation; the message says what to
+            change.
 
     Examples:
         >>> import mo_gymnasium
@@ -91,6 +95,7 @@ class NavigationGymEnv(gymnasium.Env):
         self,
         render_mode: str | None = None,
         *,
+        policy: Policy | None = None,
         observe_human: bool = True,
         observe_human_velocity: bool = False,
         max_episode_steps: int | None = 300,
@@ -114,6 +119,12 @@ class NavigationGymEnv(gymnasium.Env):
         )
         if isinstance(reward_model, (str, Path)):
             reward_model, _ = load_reward_model(reward_model)
+        observes = {
+            "observe_human": observe_human,
+            "observe_human_velocity": observe_human_velocity,
+        }
+        if policy is not None:
+            check_policy(policy, {**observes, **kwargs})
         # One simulation has no use for a pool of threads, nor Gymnasium for snapshots.
         options = {"num_threads": 1, "snapshots": False, **kwargs}
         self._navigation = NavigationEnv(

@@ -69,6 +69,16 @@ def contract(arguments: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def check_policy(policy: Policy, arguments: Mapping[str, Any]) -> None:
+    """Refuse a policy that senses something else than these arguments of :func:`make_policy_env` show.
+
+    Raises:
+        ValueError: the message says what to change.
+    """
+    if policy.sensing is not None:
+        policy.sensing.check(sensing(arguments))
+
+
 def lidar_geometry(env: NavigationEnv) -> LidarGeometry:
     """The lidar of an environment, for :class:`~torchrl_morl.deploy.PolicyRunner`."""
     return LidarGeometry(
@@ -114,13 +124,12 @@ def make_policy_env(
     Raises:
         ValueError: for a policy that senses something else; the message says what to change.
     """
-    if policy is not None and policy.sensing is not None:
-        shown = {
+    if policy is not None:
+        observes = {
             "observe_human": observe_human,
             "observe_human_velocity": observe_human_velocity,
-            **kwargs,
         }
-        policy.sensing.check(sensing(shown))
+        check_policy(policy, {**observes, **kwargs})
     base = NavigationEnv(snapshots=keep_simulation, **kwargs)
     transforms = policy_transforms(
         base.max_range,

@@ -154,6 +154,8 @@ class Policy:
         sizes = {"lidar": sensing.num_sectors, "preference": self.preference_space.num_tunable}
         inputs = {}
         for name, value in given.items():
+            if getattr(getattr(value, "dtype", None), "kind", "") == "c":
+                raise ValueError(f"{name} is no array of numbers: it is complex.")
             try:
                 value = torch.as_tensor(value, dtype=like.dtype, device=like.device)
             except (TypeError, ValueError, RuntimeError) as error:

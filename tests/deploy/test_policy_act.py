@@ -1,0 +1,260 @@
+"""One validated call: numpy, lists and tensors, one observation or many, and what is refused."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from envs.gym import NavigationGymEnv
+from envs.policy_env import contract, make_policy_env
+from torchrl_morl.deploy import Sensing, load_policy
+from torchrl_morl.deploy.features import observation
+from torchrl_morl.transforms import PreferenceSampler
+
+POLICIES = Path(__file__).parents[2] / "recipes" / "policies"
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return load_policy(POLICIES / "navigation")
+
+
+def inputs(*batch: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    weights = rng.uniform(0.1, 1.0, (*batch, 3))
+    return {
+        "preference": weights / weights.sum(-1, keepdims=True),
+        "lidar": rng.uniform(0.2, 4.0, (*batch, 30)),
+        "goal": np.stack((rng.uniform(1, 9, batch), rng.uniform(-3, 3, batch)), -1),
+        "human": np.stack((rng.uniform(1, 7, batch), rng.uniform(-3, 3, batch)), -1),
+    }
+
+
+def test_the_action_is_that_of_the_network_in_physical_units(policy):
+    given = inputs(16)
+    tensors = {name: torch.tensor(value, dtype=torch.float32) for name, value in given.items()}
+    preference = tensors.pop("preference")
+    features = observation(policy.sensing, **tensors)
+    assert features.shape == (16, policy.sensing.observation_size)
+    scaled = policy.actor(features, preference)[1].numpy()
+    expected = np.stack((0.25 * (scaled[:, 0] + 1), math.pi * scaled[:, 1]), -1)
+    np.testing.assert_allclose(policy.act(**given), expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("name", ["navigation", "our_nh", "moving_humans", "randomised_hsr"])
+def test_features_are_those_of_the_environment(name):
+    policy = load_policy(POLICIES / name)
+    sensing = policy.sensing
+    flags = {
+        "observe_human": sensing.observe_human,
+        "observe_human_velocity": sensing.observe_human_velocity,
+    }
+    env = make_policy_env(
+        PreferenceSampler(policy.preference_space, seed=0),
+        policy=policy,
+        num_envs=4,
+        scene="mixed",
+        robot=policy.robot,
+        seed=0,
+        keep_simulation=True,
+        **flags,
+    )
+    data = env.rollout(20, policy.actor, break_when_any_done=False)
+    # The environment keeps no copy of the velocity: its features are itself.
+    velocity = {"human_velocity": data["observation"][..., 36:]}
+    seen = {name: data[name] for name in ("lidar", "goal", "human")} | velocity
+    assert torch.equal(observation(sensing, **seen), data["observation"])
+    env.close()
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3)])
+def test_arrays_lists_and_tensors_of_any_dtype(policy, batch):
+    given = inputs(*batch)
+    expected = policy.act(**given)
+    assert isinstance(expected, np.ndarray) and expected.shape == (*batch, 2)
+    for convert in (np.float32, np.float64, torch.tensor):
+        found = policy.act(**{name: convert(value) for name, value in given.items()})
+        np.testing.assert_allclose(np.asarray(found), expected, atol=1e-5)
+    listed = policy.act(**{name: value.tolist() for name, value in given.items()})
+    np.testing.assert_allclose(listed, expected, atol=1e-6)
+    tensor = policy.act(**given | {"goal": torch.tensor(given["goal"])})
+    assert isinstance(tensor, torch.Tensor) and tensor.dtype == torch.float32
+    assert not tensor.is_inference() and not tensor.requires_grad
+
+
+def test_one_by_one_is_all_at_once(policy):
+    given = inputs(7)
+    rows = [policy.act(**{n: value[i] for n, value in given.items()}) for i in range(7)]
+    np.testing.assert_allclose(policy.act(**given), rows, atol=1e-5)
+
+
+def test_one_preference_for_many(policy):
+    given = inputs(7)
+    one = given | {"preference": given["preference"][0]}
+    many = given | {"preference": np.tile(given["preference"][0], (7, 1))}
+    np.testing.assert_array_equal(policy.act(**one), policy.act(**many))
+
+
+def test_inputs_have_names(policy):
+    """They cannot be swapped."""
+    kinds = {p.kind for p in inspect.signature(policy.act).parameters.values()}
+    assert kinds == {inspect.Parameter.KEYWORD_ONLY}
+    with pytest.raises(TypeError, match=r"missing .*'goal'"):
+        policy.act(preference=[0, 0, 1], lidar=[4.0] * 30)
+
+
+def test_inputs_are_not_changed(policy):
+    given = inputs(3)
+    given["goal"][:, 0] = 40.0
+    before = {name: value.copy() for name, value in given.items()}
+    policy.act(**given)
+    for name, value in given.items():
+        np.testing.assert_array_equal(value, before[name])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"preference": [1e6, 0, 0]}, "sums to 1e+06; it must sum to 1 within 0.0001"),
+        ({"preference": [-1, 1, 1]}, "preference[0] = -1 for objective 'demo' must be finite"),
+        ({"preference": [1, 1, 0]}, "sums to 2"),
+        ({"preference": [0.5, 0.5]}, "preference must have shape [..., 3], got [2]"),
+        ({"preference": 1.0}, "preference must have shape [..., 3], got []"),
+        ({"preference": "demo"}, "preference is no array of numbers"),
+        ({"preference": None}, "preference is no array of numbers"),
+        ({"preference": [[0, 0, 1]] * 3 + [[0, 1, 1]]}, "preference[3] = [0.0, 1.0, 1.0] over"),
+        ({"lidar": [4.0] * 29}, "lidar must have shape [..., 30], got [29]"),
+        ({"lidar": [4.0] * 29 + [math.nan]}, "'lidar'[29] = nan must be finite"),
+        ({"lidar": [4.0] * 29 + [math.inf]}, "'lidar'[29] = inf must be finite"),
+        ({"lidar": [4.0] * 29 + [-1.0]}, "lidar has the length -1 m: it must not be negative"),
+        ({"lidar": np.full(30, 4 + 1j)}, "lidar is no array of numbers"),
+        ({"goal": [math.nan, 0]}, "'goal'[0] = nan must be finite"),
+        ({"goal": [-1, 0]}, "goal has the length -1 m"),
+        ({"goal": [1, 0, 0]}, "goal must have shape [..., 2], got [3]"),
+        ({"human": [1, -math.inf]}, "'human'[1] = -inf must be finite"),
+        ({"human": [-0.5, 0]}, "human has the length -0.5 m"),
+        ({"goal": [[1, 0]] * 2, "human": [[1, 0]] * 3}, "batch shapes do not go together"),
+    ],
+)
+def test_what_is_refused(policy, changes, message):
+    with pytest.raises(ValueError) as error:
+        policy.act(**inputs() | changes)
+    assert message in str(error.value) and len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("batch", [(), (4,)])
+def test_distances_beyond_the_trained_range_are_its_end(policy, batch):
+    given, sensing = inputs(*batch), policy.sensing
+    for name, end in (("goal", sensing.goal_range[1]), ("human", sensing.human_range[1])):
+        far, edge = given[name].copy(), given[name].copy()
+        far[..., 0], edge[..., 0] = 40.0, end
+        np.testing.assert_array_equal(
+            policy.act(**given | {name: far}), policy.act(**given | {name: edge})
+        )
+    np.testing.assert_array_equal(
+        policy.act(**given | {"lidar": np.full(30, 30.0)}),
+        policy.act(**given | {"lidar": np.full(30, 4.0)}),
+    )
+
+
+def test_nobody(policy):
+    given = inputs(4)
+    del given["human"]
+    expected = policy.act(**given, human=policy.sensing.nobody)
+    np.testing.assert_array_equal(policy.act(**given), expected)
+
+
+def test_a_policy_that_reads_the_velocity_asks_for_it():
+    policy = load_policy(POLICIES / "moving_humans")
+    with pytest.raises(ValueError, match=r"reads the human's velocity: give human_velocity="):
+        policy.act(**inputs())
+    assert policy.act(**inputs(), human_velocity=[0.5, 0.0]).shape == (2,)
+    given = inputs()
+    del given["human"]
+    assert policy.act(**given).shape == (2,)  # nobody stands still
+    blind = load_policy(POLICIES / "our_nh")  # one that reads no human takes one and ignores them
+    np.testing.assert_array_equal(blind.act(**inputs()), blind.act(**given))
+
+
+def test_weights_of_1e30_do_not_command(policy, tmp_path):
+    """They are finite, what comes out is not."""
+    huge = load_policy(POLICIES / "navigation")
+    for value in huge.actor.parameters():
+        value.mul_(1e30)
+    with pytest.raises(ValueError, match="the policy's command is not finite"):
+        huge.act(**inputs())
+
+
+# --- the environment and the Gymnasium wrapper know what a policy senses ------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        (
+            "moving_humans",
+            {},
+            "this policy reads the human's velocity: observe_human_velocity=True",
+        ),
+        (
+            "navigation",
+            {"observe_human_velocity": True},
+            "this policy does not read the human's velocity: observe_human_velocity=False",
+        ),
+        ("our_nh", {}, "this policy does not read where the human is: observe_human=False"),
+        ("navigation", {"observe_human": False}, "reads where the human is: observe_human=True"),
+        (
+            "navigation",
+            {"max_range": 2.0},
+            "trained with max_range=4.0, this environment has 2.0: set max_range=4.0",
+        ),
+        ("navigation", {"max_range": 10}, "set max_range=4.0"),
+    ],
+)
+@pytest.mark.parametrize("make", [make_policy_env, NavigationGymEnv])
+def test_an_environment_that_shows_something_else_says_what_to_change(
+    make, name, arguments, message
+):
+    with pytest.raises(ValueError) as error:
+        make(policy=load_policy(POLICIES / name), **arguments)
+    assert message in str(error.value)
+
+
+def test_gymnasium_shows_what_a_policy_senses():
+    policy = load_policy(POLICIES / "moving_humans")
+    env = NavigationGymEnv(policy=policy, observe_human_velocity=True)
+    seen, _ = env.reset(seed=0)
+    assert seen.shape == (38,) and (seen[36:] == 0).all()
+    seen, *_ = env.step(np.array([0.5, 0.0], dtype=np.float32))
+    assert np.isfinite(seen).all()
+    blind = NavigationGymEnv(policy=load_policy(POLICIES / "our_nh"), observe_human=False)
+    assert blind.reset(seed=0)[0].shape == (33,)
+
+
+def test_the_contract_of_a_training_is_that_of_its_policy():
+    """Of every shipped policy: what it was trained with, and what its card says."""
+    folders = sorted(path for path in POLICIES.iterdir() if path.is_dir())
+    assert len(folders) > 10
+    for folder in folders:
+        policy = load_policy(folder)
+        expected = contract(policy.card["config"]["env"])
+        assert {name: getattr(policy, name) for name in expected} == expected, folder.name
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"num_sectors": 60}, "num_sectors=30, this robot has 60: set num_sectors=30"),
+        ({"goal_scale": 1.0}, "goal_scale=5.0"),
+        ({"human_scale": 1.0}, "human_scale=2.0"),
+    ],
+)
+def test_sensing_names_the_first_difference(changes, message):
+    with pytest.raises(ValueError) as error:
+        Sensing().check(Sensing(**changes), "this robot")
+    assert message in str(error.value)
