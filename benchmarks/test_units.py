@@ -6,11 +6,17 @@ runs on one torch thread, eager; ``benchmarks.learner`` has the compiled updates
 
 from __future__ import annotations
 
+import itertools
+
+import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 from torchrl.envs.utils import step_mdp
 
+from recipes.evaluation.sweep import SHIPPED_POLICY
 from recipes.training.task import make_eval_env, make_preference_space, make_train_env
+from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy
 from torchrl_morl.evaluation import rollout_preferences
 
 from .ours import Ours
@@ -106,3 +112,55 @@ def test_evaluation_of_one_preference(benchmark, cfg, ours):
     data = benchmark.pedantic(evaluate, rounds=3, iterations=1)
     assert data.shape[:2] == (1, cfg.evaluation.episodes)
     env.close()
+
+
+@pytest.fixture(scope="module")
+def deployed():
+    return load_policy(SHIPPED_POLICY)
+
+
+OBSERVED = {
+    "preference": np.array([0.2, 0.3, 0.5]),
+    "lidar": np.linspace(0.5, 4.0, 30),
+    "goal": np.array([6.0, 0.5]),
+    "human": np.array([2.0, 1.0]),
+}
+
+
+def test_bare_network_on_one_observation(benchmark, deployed):
+    """The layers alone: what :func:`test_policy_act_on_one_observation` is measured by."""
+    features = torch.randn(1, 39)
+    with torch.inference_mode():
+        assert benchmark(deployed.actor[0].module, features).isfinite().all()
+
+
+def test_actor_on_one_observation(benchmark, deployed):
+    """The same through its tensordict, as an environment calls it."""
+    data = TensorDict(observation=torch.randn(1, 36), preference=torch.eye(3)[:1], batch_size=1)
+    with torch.inference_mode():
+        assert benchmark(deployed.actor, data)["action"].isfinite().all()
+
+
+def test_policy_act_on_one_observation(benchmark, deployed):
+    """Checks, features, network and physical units, numpy in and out."""
+    assert np.isfinite(benchmark(deployed.act, **OBSERVED)).all()
+
+
+def test_policy_runner_step(benchmark, deployed):
+    """A scan of 1,081 beams, seen from another place, and all that."""
+    lidar = LidarGeometry(-2.356, 0.00436, 1081, 0.1, 10.0, mount=(0.1, 0.0, 0.0))
+    runner = PolicyRunner(deployed, lidar=lidar)
+    ranges, clock = np.linspace(0.5, 9.0, 1081), itertools.count()
+
+    def step():
+        now = 0.2 * next(clock)
+        return runner.step(
+            ranges,
+            goal=(6.0, 0.5),
+            human=(2.0, 1.0),
+            preference=(0.2, 0.3, 0.5),
+            stamp=now,
+            time=now,
+        )
+
+    assert benchmark(step).reason == "drive"

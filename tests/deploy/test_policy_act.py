@@ -132,6 +132,12 @@ def test_inputs_are_not_changed(policy):
         ({"lidar": [4.0] * 29 + [math.nan]}, "'lidar'[29] = nan must be finite"),
         ({"lidar": [4.0] * 29 + [math.inf]}, "'lidar'[29] = inf must be finite"),
         ({"lidar": [4.0] * 29 + [-1.0]}, "lidar has the length -1 m: it must not be negative"),
+        ({"preference": ["0", "0", "1"]}, "preference is no array of numbers: it is <U1"),
+        (
+            {"preference": torch.tensor([0, 0, 1j])},
+            "preference is no array of numbers: it is torch",
+        ),
+        ({"preference": [[0, 1], [1]]}, "preference is no array of numbers"),
         ({"lidar": np.full(30, 4 + 1j)}, "lidar is no array of numbers"),
         ({"goal": [math.nan, 0]}, "'goal'[0] = nan must be finite"),
         ({"goal": [-1, 0]}, "goal has the length -1 m"),

@@ -103,7 +103,7 @@ def test_weights_that_overflow_stop_the_robot(policy):
             return torch.full_like(features[..., :2], NAN)
 
     actor = torch.nn.ModuleList([torch.nn.Module()])
-    actor[0].module = Overflowing()
+    actor[0].module = torch.nn.Sequential(Overflowing())
     actor.register_parameter("like", torch.nn.Parameter(torch.zeros(1)))
     broken = dataclasses.replace(policy, actor=actor)
     command = step(PolicyRunner(broken, lidar=LIDAR))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from .sensing import Limits, Sensing
 __all__ = ["Policy", "load_policy", "save_policy"]
 
 _KIND = "policy"
+_NUMPY = {torch.float32: np.float32, torch.float64: np.float64}
 _TOLERANCE = 1e-4
 """How far the sum of a preference may be from one."""
 
@@ -120,12 +121,16 @@ class Policy:
                 )
             given["human_velocity"] = (0.0, 0.0) if human_velocity is None else human_velocity
         given["preference"] = preference
+        tensors = any([isinstance(value, Tensor) for value in given.values()])
         with torch.inference_mode():
-            inputs = self._checked(given)
+            inputs = self._checked(given, tensors)
             preference = inputs.pop("preference")
             features = observation(sensing, **inputs)
-            mlp = self.actor[0].module
-            action = mlp(torch.cat((features, preference), -1)).tanh()
+            action = torch.cat((features, preference), -1)
+            # Without the bookkeeping of Module.__call__, a fifth of the time of one observation.
+            for layer in self._layers:
+                action = layer(action)
+            action = action.tanh()
             middle, half = self._middle_and_half
             action = torch.addcmul(middle, half, action)
             if not math.isfinite(action.sum()):
@@ -133,7 +138,7 @@ class Policy:
                     f"the policy's command is not finite, {action.tolist()}: its weights are of no "
                     "use for these inputs."
                 )
-            if not any(isinstance(value, Tensor) for value in given.values()):
+            if not tensors:
                 return action.numpy(force=True)
         return action.clone()  # a normal tensor, not one of inference
 
@@ -142,42 +147,56 @@ class Policy:
         return next(self.actor.parameters())
 
     @functools.cached_property
+    def _layers(self) -> list[Callable[[Tensor], Tensor]]:
+        return [layer.forward for layer in self.actor[0].module]
+
+    @functools.cached_property
     def _middle_and_half(self) -> tuple[Tensor, Tensor]:
         """Of the commands: the middle of their range, and half of it."""
         limits = self.limits
         low, high = self._like.new_tensor((limits.speed, limits.turn_rate)).T
         return (high + low) / 2, (high - low) / 2
 
-    def _checked(self, given: Mapping[str, Any]) -> dict[str, Tensor]:
+    def _checked(self, given: Mapping[str, Any], tensors: bool) -> dict[str, Tensor]:
         """Inputs as tensors of one batch shape, with distances in the trained range."""
-        like, sensing = self._like, self.sensing
-        sizes = {"lidar": sensing.num_sectors, "preference": self.preference_space.num_tunable}
-        inputs = {}
+        like = self._like
+        sizes = {"lidar": self.sensing.num_sectors, "preference": self.preference_space.num_tunable}
+        dtype = like.dtype if tensors else _NUMPY[like.dtype]
+        inputs, batches = {}, set()
         for name, value in given.items():
-            if getattr(getattr(value, "dtype", None), "kind", "") == "c":
-                raise ValueError(f"{name} is no array of numbers: it is complex.")
             try:
-                value = torch.as_tensor(value, dtype=like.dtype, device=like.device)
+                value = torch.as_tensor(value) if tensors else np.asarray(value)
             except (TypeError, ValueError, RuntimeError) as error:
                 raise ValueError(f"{name} is no array of numbers: {one_line(error)}.") from error
-            if value.ndim == 0 or value.shape[-1] != sizes.get(name, 2):
+            if value.dtype.is_complex if tensors else value.dtype.kind not in "fiub":
+                raise ValueError(f"{name} is no array of numbers: it is {value.dtype}.")
+            value = value.to(like.device, dtype) if tensors else value.astype(dtype, copy=False)
+            shape = value.shape
+            if not shape or shape[-1] != sizes.get(name, 2):
                 raise ValueError(
-                    f"{name} must have shape [..., {sizes.get(name, 2)}], got {list(value.shape)}."
+                    f"{name} must have shape [..., {sizes.get(name, 2)}], got {list(shape)}."
                 )
             inputs[name] = value
-        batches = {value.shape[:-1] for value in inputs.values()}
+            batches.add(shape[:-1])
         if len(batches) > 1:
             try:
                 batch = torch.broadcast_shapes(*batches)
             except RuntimeError as error:
                 shapes = ", ".join(f"{n} {list(value.shape)}" for n, value in inputs.items())
                 raise ValueError(f"batch shapes do not go together: {shapes}.") from error
-            inputs = {n: value.expand(*batch, value.shape[-1]) for n, value in inputs.items()}
-        total = inputs["preference"].sum(-1, keepdim=True)
-        everything = torch.cat((*inputs.values(), total), -1)
+            expand = torch.Tensor.expand if tensors else np.broadcast_to
+            inputs = {n: expand(value, (*batch, value.shape[-1])) for n, value in inputs.items()}
+        sizes = [sizes.get(name, 2) for name in inputs]
+        if tensors:
+            everything = torch.cat(list(inputs.values()), -1)
+        else:
+            everything = torch.from_numpy(np.concatenate(list(inputs.values()), -1)).to(like.device)
+        total = everything.narrow(-1, -sizes[-1], sizes[-1]).sum(-1, keepdim=True)
+        everything = torch.cat((everything, total), -1)
         low, high, trained = self._bounds
         # Equal only if nothing is NaN or out of bounds; what is wrong is then looked for.
         if not torch.equal(everything.clamp(low, high), everything):
+            inputs = dict(zip(inputs, everything[..., :-1].split(sizes, -1)))
             check_finite(inputs, list(inputs))
             self.preference_space.validate(inputs["preference"], tol=_TOLERANCE)
             for name, value in inputs.items():
@@ -186,7 +205,6 @@ class Policy:
                     raise ValueError(
                         f"{name} has the length {lengths.min():g} m: it must not be negative."
                     )
-        sizes = [sizes.get(name, 2) for name in inputs]
         return dict(zip(inputs, everything.clamp(max=trained).split([*sizes, 1], -1)))
 
     @functools.cached_property
