@@ -24,7 +24,7 @@ from envs import NavigationEnv
 from envs.lidar import MIN_RANGE, Lidar
 from envs.robots import Robot, get_robot
 from envs.scenes import HUMAN_RADIUS, Scene, get_scene
-from recipes.sweep import SHIPPED_POLICY
+from recipes.evaluation.sweep import SHIPPED_POLICY
 from torchrl_morl.deploy import LidarGeometry, Policy, PolicyRunner, load_policy
 
 FULL = 2 * math.pi
