@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from torchrl._utils import timeit
 
+from recipes.training.command import recipe, undisturbed
 from recipes.training.gradients import use_bfloat16
+from recipes.training.logs import time_shares
 from torchrl_morl.data import save_demonstrations
 
 from . import ranking, styles
@@ -24,9 +25,10 @@ from .cloning import clone_behaviour, save_clone
 from .demonstrations import collect_demonstrations, read_demonstrations
 from .report import write_report
 from .rollouts import noisy_rollouts
+from .schema import Config
 
 
-@hydra.main(version_base="1.3", config_path="", config_name="config")
+@recipe("config", Config)
 def main(cfg: DictConfig) -> None:
     """Demonstrations, behaviour cloning, noisy rollouts, ranking, diagnostics."""
     # Nothing is run before the configuration has been accepted.
@@ -40,7 +42,9 @@ def main(cfg: DictConfig) -> None:
 
     with timeit("demonstrations"):
         demonstrations = collect_demonstrations(cfg) if recorded is None else recorded
-        save_demonstrations(run_dir / "demonstrations.safetensors", demonstrations, metadata(cfg))
+        with undisturbed():
+            file = run_dir / "demonstrations.safetensors"
+            save_demonstrations(file, demonstrations, metadata(cfg))
     with timeit("behaviour cloning"):
         policy, cloning_loss = clone_behaviour(cfg, demonstrations)
     with timeit("noisy rollouts"):
@@ -55,9 +59,11 @@ def main(cfg: DictConfig) -> None:
     with timeit("diagnostics"):
         report = write_report(run_dir, cfg, model, noisy, scores)
     card = {"bfloat16": bfloat16, "behaviour_cloning_loss": cloning_loss, **scores, **report}
-    ranking.save_model(run_dir / "reward_model", cfg, model, card)
-    save_clone(run_dir / "behaviour_clone", cfg, policy, {"behaviour_cloning_loss": cloning_loss})
-    timeit.print()
+    with undisturbed():
+        ranking.save_model(run_dir / "reward_model", cfg, model, card)
+        facts = {"behaviour_cloning_loss": cloning_loss}
+        save_clone(run_dir / "behaviour_clone", cfg, policy, facts)
+    print(time_shares())
     print(f"reward model, report and behaviour clone: {run_dir}")
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import copy
 
-import hydra
 import torch
 import tqdm
 from omegaconf import DictConfig
@@ -21,6 +20,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.envs import RewardScaling
 
+from recipes.training import command
 from recipes.training.agent import make_averaged
 from recipes.training.corners import evaluate_corners
 from recipes.training.logs import (
@@ -42,15 +42,15 @@ from . import penalties
 from .batches import BATCH, failing, failure_rate, make_replay_buffer
 from .networks import ENVS_AT_ONCE, make_advantage, make_critic, make_loss, make_policy
 from .optimizers import make_optimizers, make_schedule, resume
-from .start import check, check_start, complete
+from .schema import Config
+from .start import check_start, complete
 
 
-@hydra.main(version_base="1.3", config_path="", config_name="config")
+@command.recipe("config", Config)
 def main(cfg: DictConfig) -> None:
     """Polish a policy, evaluate it on the way, and save what is evaluated."""
     start, preference_space, card = load_policy(cfg.policy, device=cfg.device)
     cfg = complete(cfg, card)
-    check(cfg)
     task = make_task(cfg)
     check_start(cfg, task, start, preference_space)
 
@@ -92,7 +92,8 @@ def main(cfg: DictConfig) -> None:
     progress = tqdm.tqdm(
         total=cfg.collector.total_frames, initial=frames, unit="step", smoothing=0.05
     )
-    for batches, data in enumerate(collector, start=frames // cfg.collector.frames_per_batch):
+    done = frames // cfg.collector.frames_per_batch
+    for batches, data in enumerate(command.until_stopped(collector), start=done):
         collected, frames = frames, frames + data.numel()
         progress.update(data.numel())
         # The critic starts from nothing: the actor waits until it has learned the values.
@@ -146,7 +147,6 @@ def main(cfg: DictConfig) -> None:
             # What goes on from the end has a schedule of its own.
             next_begin = frames if last else begin
             metadata = {"score": result.score, "frames": frames, "schedule": next_begin}
-            checkpoints.save(state, step=frames, metadata=metadata)
             save_training_policy(
                 task.run_dir / "policies" / f"{frames:09d}",
                 cfg,
@@ -156,6 +156,8 @@ def main(cfg: DictConfig) -> None:
                 # How the policy was trained that it started as.
                 start={name: card[name] for name in ("config", "start") if name in card},
             )
+            # Behind the small policy, which a full disk must not cost.
+            checkpoints.save(state, step=frames, metadata=metadata)
             trajectories_picture(
                 task.run_dir / "pictures" / f"{frames:09d}.png",
                 task,
@@ -167,6 +169,8 @@ def main(cfg: DictConfig) -> None:
             progress.set_postfix(success=f"{result.success:.0f}%", score=f"{result.score:.2f}")
     progress.close()
     collector.shutdown()
+    if command.stop_requested() and frames < cfg.collector.total_frames:
+        raise command.Stopped(f"after {frames:,} steps")
     print(time_shares())
     warn_if_failing(result.success)
     finish(task.run_dir, cfg)

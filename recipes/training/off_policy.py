@@ -17,7 +17,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 
-from . import logs
+from . import command, logs
 from .corners import CornerResult, evaluate_corners
 from .pictures import trajectories_picture
 from .policies import finish, save_training_policy
@@ -41,6 +41,7 @@ def train(
     *,
     after_updates: Callable[[int], None] | None = None,
     after_evaluation: Callable[[CornerResult], None] | None = None,
+    on_stop: Callable[[int], None] | None = None,
 ) -> None:
     """Train an agent and save its policies in the run folder.
 
@@ -57,11 +58,11 @@ def train(
     Keyword Args:
         after_updates: called after those of a batch of frames, with the frames so far.
         after_evaluation: called with its result, before anything is saved.
+        on_stop: called with the frames so far where somebody has asked the training to stop.
+
+    Raises:
+        Stopped: where somebody has, see :mod:`.command`.
     """
-    if cfg.optim.updates_per_batch < 1:
-        raise ValueError(
-            f"optim.updates_per_batch must be at least 1, got {cfg.optim.updates_per_batch}."
-        )
     write_run_info(task.run_dir)
     loggers = logs.make_loggers(cfg, task.run_dir)
     logs.announce(cfg, task.run_dir)
@@ -82,7 +83,7 @@ def train(
     frames = updates = 0
     score = success = float("nan")
     progress = tqdm.tqdm(total=cfg.collector.total_frames, unit="step", smoothing=0.05)
-    for data in collector:
+    for data in command.until_stopped(collector):
         with timeit("extend"):
             replay_buffer.extend(data.reshape(-1).select(*TRANSITION))
         collected, frames = frames, frames + data.numel()
@@ -117,9 +118,10 @@ def train(
                 after_evaluation(result)
             score, success = result.score, result.success
             logs.log_metrics(loggers, result.metrics, frames)
-            checkpoints.save(Checkpoint(**state), step=frames, metadata={"score": score})
+            # The small policy first: it is what a full disk must not cost.
             folder = task.run_dir / "policies" / f"{frames:09d}"
             save_training_policy(folder, cfg, averaged.module, task, result)
+            checkpoints.save(Checkpoint(**state), step=frames, metadata={"score": score})
             trajectories_picture(
                 task.run_dir / "pictures" / f"{frames:09d}.png",
                 task,
@@ -130,6 +132,10 @@ def train(
             tqdm.tqdm.write(result.table(frames))
     progress.close()
     collector.shutdown()
+    if command.stop_requested() and frames < cfg.collector.total_frames:
+        if on_stop is not None:
+            on_stop(frames)
+        raise command.Stopped(f"after {frames:,} steps")
     print(logs.time_shares())
     logs.warn_if_failing(success)
     finish(task.run_dir, cfg)
