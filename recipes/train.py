@@ -93,7 +93,7 @@ def begun(args: argparse.Namespace) -> Record:
     if output is not None and output.exists():
         if (output / Record.FILE).is_file() and not Record.load(output).finished:
             raise FileExistsError(
-                f"{output} holds an unfinished training: go on with --resume {output}."
+                f"{output} holds an unfinished training: go on with --resume {shlex.quote(str(output))}."
             )
         raise FileExistsError(f"{output} exists and is not overwritten: choose another folder.")
     check(options, output or _RUNS / "new")
@@ -102,7 +102,7 @@ def begun(args: argparse.Namespace) -> Record:
     else:
         if (left := unfinished(_RUNS)) is not None:
             print(
-                f"{left} is unfinished; to go on with it: python -m recipes.train --resume {left}"
+                f"{left} is unfinished; to go on with it: python -m recipes.train --resume {shlex.quote(str(left))}"
             )
         output = claim(_RUNS)
     record = Record(output.resolve(), options)

@@ -34,7 +34,7 @@ from recipes.training.logs import (
 from recipes.training.optimizers import step
 from recipes.training.pictures import trajectories_picture
 from recipes.training.policies import finish, save_training_policy
-from recipes.training.run_folder import write_run_info
+from recipes.training.run_folder import checkpoint_bytes, require_space, write_run_info
 from recipes.training.task import make_task
 from torchrl_morl.deploy import load_policy
 
@@ -64,7 +64,8 @@ def main(cfg: DictConfig) -> None:
     averaged = make_averaged(cfg, actor)
     optimizers = make_optimizers(cfg, loss)
     replay_buffer = make_replay_buffer(cfg, task)
-    state = Checkpoint(loss=loss, averaged=averaged, **optimizers)
+    components = {"loss": loss, "averaged": averaged, **optimizers}
+    state = Checkpoint(**components)
     frames, begin = resume(cfg, state)
     schedule = make_schedule(cfg, optimizers["actor"], frames, begin)
     precision = torch.autocast(task.device.type, torch.bfloat16, enabled=task.facts["bfloat16"])
@@ -157,6 +158,7 @@ def main(cfg: DictConfig) -> None:
                 start={name: card[name] for name in ("config", "start") if name in card},
             )
             # Behind the small policy, which a full disk must not cost.
+            require_space(task.run_dir, checkpoint_bytes(components))
             checkpoints.save(state, step=frames, metadata=metadata)
             trajectories_picture(
                 task.run_dir / "pictures" / f"{frames:09d}.png",

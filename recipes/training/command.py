@@ -118,8 +118,9 @@ class _Command:
         self.folder = Path(str(module.__file__)).resolve().parent
         self.about = (module.__doc__ or "").split("\n\n")[0]
         self.run_dir: Path | None = None
-        self.is_new = False
-        """Whether this command has made its run folder."""
+        self.was_there = False
+        """The run folder, before this command."""
+        self.was_empty = True
         self.overrides: list[str] = []
 
     def run(self, arguments: Sequence[str]) -> None:
@@ -138,8 +139,8 @@ class _Command:
 
     def _fail(self, failure: BaseException, *, debug: bool) -> NoReturn:
         line, code = error_line(failure, self.run_dir, go_on=self._go_on())
-        if self.is_new and self.run_dir is not None:
-            run_folder.remove_if_refused(self.run_dir)
+        if self.run_dir is not None and self.was_empty:
+            run_folder.remove_if_refused(self.run_dir, keep=self.was_there)
         is_stop = isinstance(failure, Stopped | KeyboardInterrupt)
         if line is None or (debug and not is_stop):
             raise failure
@@ -203,11 +204,11 @@ class _Command:
                 validate(self.schema, OmegaConf.to_container(config, resolve=True))
         folder = Path(cfg.hydra.sweep.dir if multirun else cfg.hydra.run.dir)
         resumed = config.get("resume")
-        self.is_new = folder in _new_runs.values() or not folder.exists()
-        if folder not in _new_runs.values() and not (
-            resumed is not None and Path(resumed).resolve() == folder.resolve()
-        ):
-            run_folder.check_new(folder)
+        if folder not in _new_runs.values():
+            self.was_there = folder.exists()
+            self.was_empty = resumed is None or Path(resumed).resolve() != folder.resolve()
+            if self.was_empty:
+                run_folder.check_new(folder)
         self.run_dir = folder
 
     def _job(self) -> Main:

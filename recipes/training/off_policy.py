@@ -22,7 +22,7 @@ from .corners import CornerResult, evaluate_corners
 from .pictures import trajectories_picture
 from .policies import finish, save_training_policy
 from .replay import TRANSITION
-from .run_folder import write_run_info
+from .run_folder import checkpoint_bytes, require_space, write_run_info
 from .task import Task
 
 Update = Callable[[TensorDictBase, int, int], dict[str, Tensor]]
@@ -121,6 +121,7 @@ def train(
             # The small policy first: it is what a full disk must not cost.
             folder = task.run_dir / "policies" / f"{frames:09d}"
             save_training_policy(folder, cfg, averaged.module, task, result)
+            require_space(task.run_dir, checkpoint_bytes(state))
             checkpoints.save(Checkpoint(**state), step=frames, metadata={"score": score})
             trajectories_picture(
                 task.run_dir / "pictures" / f"{frames:09d}.png",

@@ -11,8 +11,11 @@ import platform
 import shutil
 import subprocess
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+_BLOCK = 4096
 
 
 def claim(base: Path) -> Path:
@@ -72,11 +75,19 @@ def check_run_dir(run_dir: Path) -> None:
         )
 
 
-def remove_if_refused(run_dir: Path) -> None:
-    """Remove a folder that holds nothing but what Hydra writes before a recipe begins."""
+def remove_if_refused(run_dir: Path, *, keep: bool = False) -> None:
+    """Remove a folder that holds nothing but what Hydra writes before a recipe begins.
+
+    Args:
+        run_dir: the folder.
+
+    Keyword Args:
+        keep: the folder itself, which was there before.
+    """
     if run_dir.is_dir() and {entry.name for entry in run_dir.iterdir()} <= {".hydra"}:
         shutil.rmtree(run_dir / ".hydra", ignore_errors=True)
-        run_dir.rmdir()
+        if not keep:
+            run_dir.rmdir()
 
 
 def require_space(folder: Path, num_bytes: int) -> None:
@@ -93,6 +104,29 @@ def require_space(folder: Path, num_bytes: int) -> None:
     if num_bytes > free:
         missing = f"{num_bytes / 1e6:.0f} MB are needed and {free / 1e6:.0f} MB are free"
         raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)} ({missing})", str(folder))
+
+
+def checkpoint_bytes(state: Mapping[str, Any]) -> int:
+    """What a checkpoint of these components takes on a disk, bytes: a file for every tensor.
+
+    Examples:
+        >>> import torch
+        >>> layer = torch.nn.Linear(1024, 1)
+        >>> 4096 + 4096 < checkpoint_bytes({"layer": layer}) < 100_000
+        True
+    """
+    total = 0
+    left = [component.state_dict() for component in state.values()]
+    while left:
+        value = left.pop()
+        if isinstance(value, Mapping):
+            left.extend(value.values())
+        elif isinstance(value, list | tuple):
+            left.extend(value)
+        elif hasattr(value, "nbytes"):
+            total += value.nbytes + _BLOCK
+    # Manifests and what is no tensor.
+    return total + 8 * _BLOCK * len(state)
 
 
 def write_atomically(path: Path, text: str) -> None:
