@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from recipes.training import schema
 from recipes.training.fields import (
+    Allows,
     Count,
     CountOrNone,
     Decay,
@@ -26,6 +27,15 @@ from recipes.training.fields import (
     Share,
     Size,
 )
+
+
+def _some_noise(sigma: list[float]) -> list[float]:
+    if len(sigma) != 2 or min(sigma) <= 0:
+        raise ValueError(
+            "must be positive, for speed and turn rate, since without noise there is nothing to "
+            f"compare, got {sigma}."
+        )
+    return sigma
 
 
 class Compute(schema.Compute):
@@ -92,7 +102,9 @@ class Collector(Section):
     frames_per_batch: int = Field(
         ge=1, le=100_000_000, description="Steps between updates, over all environments."
     )
-    exploration_sigma: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
+    exploration_sigma: Annotated[
+        list[float], AfterValidator(_some_noise), Allows("two positive numbers")
+    ] = Field(
         description="Standard deviation of the noise on speed and turn rate, of actions in [-1, 1]."
     )
 
@@ -123,7 +135,7 @@ class Loss(Section):
     anchor_radius: NotNegative = Field(
         description="Distance from the human within which that is held, metres."
     )
-    anchor_window: Count = Field(
+    anchor_window: Annotated[int, Allows("an odd whole number at least 1")] = Field(
         description="Steps over which the actions of the policy at the start are averaged, odd."
     )
     smoothness_coeff: NotNegative = Field(
@@ -133,7 +145,7 @@ class Loss(Section):
 
     @model_validator(mode="after")
     def _window_has_a_middle(self) -> Loss:
-        if self.anchor_window % 2 == 0:
+        if self.anchor_window < 1 or self.anchor_window % 2 == 0:
             raise ValueError(
                 "loss.anchor_window must be an odd number of steps, 1 for no average, "
                 f"got {self.anchor_window}."
@@ -149,7 +161,9 @@ class Optim(Section):
     )
     critic_epochs: Count = Field(description="Passes over each of those.")
     epochs: Count = Field(description="Passes over each batch of frames after them.")
-    batch_size: Count = Field(description="Transitions of an update.")
+    batch_size: Annotated[int, Allows("a whole number from 1 to collector.frames_per_batch")] = (
+        Field(description="Transitions of an update.")
+    )
     penalty_batch_size: Count = Field(
         description="Transitions of an update that anchor and smoothness are taken of."
     )
@@ -195,7 +209,7 @@ class Config(Section):
         frames = self.collector.frames_per_batch
         schema.check_batches(frames, self.env.num_envs)
         schema.check_segments(self.preference.num_segments, self.env.num_envs)
-        if self.optim.batch_size > frames:
+        if not 1 <= self.optim.batch_size <= frames:
             raise ValueError(
                 "optim.batch_size must lie between 1 and collector.frames_per_batch, "
                 f"{frames}, got {self.optim.batch_size}."

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from recipes.training import schema
-from recipes.training.fields import Positive
+from recipes.training.fields import Allows, Positive
 
 
 class TD3Config(schema.OffPolicy):
@@ -35,11 +35,13 @@ class SACNetwork(schema.Network):
     initial_scale: Positive = Field(
         description="Standard deviation of the untrained policy before its tanh."
     )
-    min_scale: Positive = Field(description="The smallest standard deviation.")
+    min_scale: Annotated[float, Allows("a number in (0, network.initial_scale)")] = Field(
+        description="The smallest standard deviation."
+    )
 
     @model_validator(mode="after")
     def _starts_above_the_smallest(self) -> SACNetwork:
-        if self.min_scale >= self.initial_scale:
+        if not 0 < self.min_scale < self.initial_scale:
             raise ValueError(
                 "network.min_scale must be in (0, network.initial_scale), "
                 f"(0, {self.initial_scale}), got {self.min_scale}."

@@ -197,6 +197,15 @@ def _first(metadata: tuple, name: str) -> Any:
     return next((getattr(one, name) for one in metadata if hasattr(one, name)), None)
 
 
+def _violated(annotation: Any, metadata: tuple, kind: str) -> str:
+    """Of a range the end that matters, where its other end is only far away."""
+    if annotation is int:
+        if kind.startswith("greater"):
+            return f"at least {_first(metadata, 'ge')}"
+        return f"at most {_first(metadata, 'le')}"
+    return _limits(annotation, metadata)
+
+
 def _choice(values: list[str]) -> str:
     if len(values) < 3:
         return " or ".join(values)
@@ -266,8 +275,8 @@ def _line(schema: type[BaseModel], error: Mapping[str, Any]) -> str:
             return message
         return f"{name} {message}" if message.startswith("must") else f"{name}: {message}"
     if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
-        limits = _limits(annotation, metadata)
-        must = "must not be negative" if limits == "not negative" else f"must be {limits}"
+        must = f"must be {_violated(annotation, metadata, kind)}"
+        must = must.replace("be not negative", "not be negative")
     elif _is_section(annotation):
         must = "must be a mapping of fields"
     else:
