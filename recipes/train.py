@@ -4,82 +4,265 @@
 
     python -m recipes.train                                   # the shipped configuration
     python -m recipes.train --pd-morl seed=1 collector.total_frames=100000
+    python -m recipes.train --resume runs/train/2026-01-31_12-00-00
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
-import subprocess
+import shlex
 import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+from .arguments import Parser, episodes, existing_folder
+from .stages import Record, lock, run, unfinished
+from .training.quoting import quoted
+from .training.run_folder import claim
+
+_RUNS = Path("runs/train")
+_MODULES = {
+    "D-REX": "recipes.drex.drex",
+    "PD-MORL": "recipes.pd_morl.pd_morl",
+    "MO-PPO": "recipes.mo_ppo.mo_ppo",
+}
+_FOLDERS = {"D-REX": "drex", "PD-MORL": "pd_morl", "MO-PPO": "mo_ppo"}
 
 
 def main() -> None:
     """Run the stages one after the other; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    parser = make_parser()
+    args = parser.parse_args()
+    try:
+        record = resumed(args) if args.resume else begun(args)
+        held = lock(record.folder)
+        if held is None:
+            raise ValueError(f"{record.folder} is being trained by another process.")
+    except (OSError, ValueError) as error:
+        parser.error(" ".join(str(error).split()))
+    with held:
+        try:
+            train(record)
+        except (SystemExit, KeyboardInterrupt) as stop:
+            go_on = (
+                f"go on with: python -m recipes.train --resume {shlex.quote(str(record.folder))}"
+            )
+            code = 130 if isinstance(stop, KeyboardInterrupt) else stop.code
+            if isinstance(code, str):
+                sys.exit(f"{code} When that is put right {go_on}")
+            print(f"stopped; {go_on}", file=sys.stderr)
+            sys.exit(code)
+
+
+def make_parser() -> argparse.ArgumentParser:
+    parser = Parser(description=__doc__)
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--output", type=Path, help="folder to write; must not exist")
+    where.add_argument(
+        "--resume", type=existing_folder, help="folder of an unfinished training to go on with"
     )
-    parser.add_argument("--output", type=Path, help="folder to write; must not exist")
     parser.add_argument("--drex", nargs="*", default=[], help="overrides of recipes/drex")
     parser.add_argument("--pd-morl", nargs="*", default=[], help="overrides of recipes/pd_morl")
     parser.add_argument("--mo-ppo", nargs="*", default=[], help="overrides of recipes/mo_ppo")
     parser.add_argument("--without-mo-ppo", action="store_true", help="end with PD-MORL's policy")
-    parser.add_argument("--episodes", type=int, default=100, help="of the final evaluation")
-    args = parser.parse_args()
-    output = args.output or Path("runs/train") / time.strftime("%Y-%m-%d_%H-%M-%S")
-    if output.exists():
-        parser.error(f"{output} exists and is not overwritten: choose another folder.")
-    output = output.resolve()
-    drex, morl, ppo = (output / name for name in ("drex", "pd_morl", "mo_ppo"))
+    parser.add_argument(
+        "--episodes", type=episodes, default=100, help="of the final evaluation (default: 100)"
+    )
+    return parser
 
-    # The stages take turns: a second thread makes 1.36 times PD-MORL's updates on an idle machine.
-    threads = min(2, len(os.sched_getaffinity(0)))
-    stages = {
-        "D-REX": [
-            "recipes.drex.drex",
-            f"hydra.run.dir={drex}",
-            f"torch_threads={threads}",
-            *args.drex,
-        ],
-        "PD-MORL": [
-            "recipes.pd_morl.pd_morl",
-            f"hydra.run.dir={morl}",
-            f"demonstrations.reward_model={drex / 'reward_model'}",
-            f"demonstrations.dataset={drex / 'demonstrations.safetensors'}",
-            f"compute.torch_threads={threads}",
-            *args.pd_morl,
-        ],
+
+def begun(args: argparse.Namespace) -> Record:
+    """A new training, whose stages have all been checked, in a folder of its own.
+
+    Raises:
+        ValueError: for an override that a stage refuses.
+        FileExistsError: for a folder that is there.
+    """
+    options = {
+        "drex": args.drex,
+        "pd_morl": args.pd_morl,
+        "mo_ppo": args.mo_ppo,
+        "without_mo_ppo": args.without_mo_ppo,
+        "episodes": args.episodes,
     }
-    seconds = {name: run(name, command) for name, command in stages.items()}
-    policy = final_policy(morl)
-    if not args.without_mo_ppo:
-        command = [
-            "recipes.mo_ppo.mo_ppo",
-            f"hydra.run.dir={ppo}",
-            f"policy={policy}",
-            f"demonstrations.reward_model={drex / 'reward_model'}",
-            *args.mo_ppo,
+    output = args.output
+    if output is not None and output.exists():
+        if (output / Record.FILE).is_file() and not Record.load(output).finished:
+            raise FileExistsError(
+                f"{output} holds an unfinished training: go on with --resume {shlex.quote(str(output))}."
+            )
+        raise FileExistsError(f"{output} exists and is not overwritten: choose another folder.")
+    check(options, output or _RUNS / "new")
+    if output is not None:
+        output.mkdir(parents=True)
+    else:
+        if (left := unfinished(_RUNS)) is not None:
+            print(
+                f"{left} is unfinished; to go on with it: python -m recipes.train --resume {shlex.quote(str(left))}"
+            )
+        output = claim(_RUNS)
+    record = Record(output.resolve(), options)
+    record.save()
+    return record
+
+
+def resumed(args: argparse.Namespace) -> Record:
+    """A training that has begun, with the options that it was given then.
+
+    Raises:
+        ValueError: if it is over, if it is none, or for options that would change it.
+    """
+    record = Record.load(args.resume.resolve())
+    if record.finished:
+        raise ValueError(f"{args.resume} is finished: there is nothing to go on with.")
+    if args.drex or args.pd_morl or args.mo_ppo or args.without_mo_ppo:
+        raise ValueError("--resume goes on with the options of the start: give no others.")
+    check(record.options, record.folder)
+    return record
+
+
+def check(options: dict[str, Any], output: Path) -> None:
+    """Refuse what any of the stages would refuse, before the first of them begins.
+
+    Raises:
+        ValueError: in one line.
+    """
+    # They import PyTorch, which takes seconds that --help need not wait for.
+    from hydra.errors import HydraException
+
+    from .drex import schema as drex
+    from .mo_ppo import schema as mo_ppo
+    from .pd_morl import schema as pd_morl
+    from .training.command import check as check_recipe
+    from .training.user_errors import error_line
+
+    schemas = {"drex": drex, "pd_morl": pd_morl, "mo_ppo": mo_ppo}
+    if options["without_mo_ppo"]:
+        del schemas["mo_ppo"]
+    plan = Plan(Record(output, options))
+    policy = output / "pd_morl" / "policies" / "last"
+    found = {}
+    for name, module in schemas.items():
+        given = options[name]
+        if taken := [one for one in given if one.lstrip("+").startswith(("hydra.run", "resume="))]:
+            raise ValueError(
+                f"--{name.replace('_', '-')} {taken[0]}: --output and --resume say so."
+            )
+        command = {
+            "drex": plan.drex,
+            "pd_morl": plan.pd_morl,
+            "mo_ppo": lambda folder: plan.mo_ppo(folder, policy),
+        }[name](output / name)
+        overrides = [one for one in command[1:] if not one.startswith("hydra.")]
+        folder = Path(str(module.__file__)).parent
+        try:
+            found[name] = check_recipe("config", module.Config, folder, overrides, planned=output)
+        except (HydraException, ValueError) as error:
+            line, _ = error_line(error, None)
+            raise ValueError(f"--{name.replace('_', '-')}: {line}") from error
+    for field in ("observe_human", "observe_human_velocity"):
+        one, other = (found[name]["env"][field] for name in ("drex", "pd_morl"))
+        if one != other:
+            raise ValueError(
+                f"env.{field} must be the same for --drex and --pd-morl, got {one} and {other}."
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """The commands of the stages."""
+
+    record: Record
+
+    @property
+    def threads(self) -> int:
+        """The stages take turns: a second thread makes 1.36 times PD-MORL's updates on an idle machine."""
+        return min(2, len(os.sched_getaffinity(0)))
+
+    def made_by_drex(self) -> Path:
+        return self.record.folder_of("D-REX") or self.record.folder / "drex"
+
+    def drex(self, folder: Path) -> list[str]:
+        return [
+            _MODULES["D-REX"],
+            f"hydra.run.dir={quoted(folder)}",
+            f"torch_threads={self.threads}",
+            *self.record.options["drex"],
         ]
-        seconds["MO-PPO"] = run("MO-PPO", command)
+
+    def pd_morl(self, folder: Path) -> list[str]:
+        drex = self.made_by_drex()
+        return [
+            _MODULES["PD-MORL"],
+            f"hydra.run.dir={quoted(folder)}",
+            f"demonstrations.reward_model={quoted(drex / 'reward_model')}",
+            f"demonstrations.dataset={quoted(drex / 'demonstrations.safetensors')}",
+            f"compute.torch_threads={self.threads}",
+            *self.record.options["pd_morl"],
+        ]
+
+    def mo_ppo(self, folder: Path, policy: Path) -> list[str]:
+        return [
+            _MODULES["MO-PPO"],
+            f"hydra.run.dir={quoted(folder)}",
+            f"policy={quoted(policy)}",
+            f"demonstrations.reward_model={quoted(self.made_by_drex() / 'reward_model')}",
+            *self.record.options["mo_ppo"],
+        ]
+
+
+def train(record: Record) -> None:
+    """Run the stages that are not finished, and record each that is."""
+    plan = Plan(record)
+    stage(record, "D-REX", plan.drex)
+    morl = stage(record, "PD-MORL", plan.pd_morl)
+    policy = final_policy(morl)
+    if not record.options["without_mo_ppo"]:
+        ppo = stage(record, "MO-PPO", lambda folder: plan.mo_ppo(folder, policy))
         policy = final_policy(ppo)
-    command = ["recipes.evaluate", "--policy", str(policy), "--episodes", str(args.episodes)]
-    seconds["evaluation"] = run("evaluation", [*command, "--grid"])
-    for name, value in seconds.items():
-        print(f"{name:>12}: {value / 60:6.1f} min")
-    print(f"policy: {policy}\ntry it: python -m recipes.demo --policy {policy}")
+    count = str(record.options["episodes"])
+    command = ["recipes.evaluate", "--policy", str(policy), "--episodes", count, "--grid"]
+    record.begin("evaluation", command, None)
+    record.finish("evaluation", run("evaluation", command))
+    record.finished = True
+    record.save()
+    for name, entry in record.stages.items():
+        print(f"{name:>12}: {entry['seconds'] / 60:6.1f} min")
+    print(f"policy: {policy}\ntry it: python -m recipes.demo --policy {shlex.quote(str(policy))}")
 
 
-def run(name: str, command: list[str]) -> float:
-    """Run a recipe and return its wall time in seconds."""
-    print(f"--- {name}: python -m {' '.join(command)}", flush=True)
-    started = time.perf_counter()
-    result = subprocess.run([sys.executable, "-m", *command])
-    if result.returncode:
-        sys.exit(f"{name} failed with exit code {result.returncode}; see above.")
-    return time.perf_counter() - started
+def stage(record: Record, name: str, command: Callable[[Path], list[str]]) -> Path:
+    """Run a stage, unless it is finished; go on with it, if it has begun. Returns its folder."""
+    before = record.folder_of(name)
+    if before is not None and record.is_finished(name):
+        return before
+    folder = _free(record.folder, _FOLDERS[name])
+    further = [] if before is None else continued(before)
+    # What it goes on from comes before the user's own: those have the last word.
+    module, *overrides = command(folder)
+    given = [module, *overrides[:1], *further, *overrides[1:]]
+    record.begin(name, given, folder.name)
+    record.finish(name, run(name, given))
+    return folder
+
+
+def continued(before: Path) -> list[str]:
+    """Overrides with which a recipe goes on from a run that was cut short; none if it starts anew."""
+    if not any((before / "checkpoints").glob("[!.]*")):
+        return []
+    return [f"resume={quoted(before)}"]
+
+
+def _free(output: Path, name: str) -> Path:
+    """A folder for a stage: what a stage that was cut short has written stays where it is."""
+    number = 1
+    while (folder := output / (name if number == 1 else f"{name}-{number}")).exists():
+        number += 1
+    return folder
 
 
 def final_policy(run_dir: Path) -> Path:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from torchrl._utils import timeit
 
+from recipes.training.command import recipe, undisturbed
 from recipes.training.gradients import use_bfloat16
 from recipes.training.logs import time_shares
 from torchrl_morl.data import load_demonstrations, save_demonstrations
@@ -25,9 +25,10 @@ from .cloning import clone_behaviour, save_clone
 from .demonstrations import collect_demonstrations, read_demonstrations
 from .report import write_report
 from .rollouts import noisy_rollouts
+from .schema import Config
 
 
-@hydra.main(version_base="1.3", config_path="", config_name="config")
+@recipe("config", Config)
 def main(cfg: DictConfig) -> None:
     """Demonstrations, behaviour cloning, noisy rollouts, ranking, diagnostics."""
     # Nothing is run before the configuration has been accepted.
@@ -50,7 +51,8 @@ def main(cfg: DictConfig) -> None:
             demonstrations, _ = load_demonstrations(dataset)
         else:
             demonstrations = collect_demonstrations(cfg) if recorded is None else recorded
-            save_demonstrations(dataset, demonstrations, metadata(cfg))
+            with undisturbed():
+                save_demonstrations(dataset, demonstrations, metadata(cfg))
     with timeit("behaviour cloning"):
         policy, cloning_loss = clone_behaviour(cfg, demonstrations, checkpoints / "cloning")
     with timeit("noisy rollouts"):
@@ -67,11 +69,12 @@ def main(cfg: DictConfig) -> None:
     with timeit("diagnostics"):
         report = write_report(run_dir, cfg, model, noisy, scores)
     card = {"bfloat16": bfloat16, "behaviour_cloning_loss": cloning_loss, **scores, **report}
-    if not (run_dir / "behaviour_clone").exists():
-        facts = {"behaviour_cloning_loss": cloning_loss}
-        save_clone(run_dir / "behaviour_clone", cfg, policy, facts)
-    # Last: a run with a reward model is over.
-    ranking.save_model(run_dir / "reward_model", cfg, model, card)
+    with undisturbed():
+        if not (run_dir / "behaviour_clone").exists():
+            facts = {"behaviour_cloning_loss": cloning_loss}
+            save_clone(run_dir / "behaviour_clone", cfg, policy, facts)
+        # Last: a run with a reward model is over.
+        ranking.save_model(run_dir / "reward_model", cfg, model, card)
     print(time_shares())
     print(f"reward model, report and behaviour clone: {run_dir}")
 

@@ -18,7 +18,8 @@ from .ranking import step_scores
 from .recorded import distance_from_recorded
 from .rollouts import rollouts
 
-_NUM_STYLES = 6
+NUM_STYLES = 6
+"""How many other ways to drive there are: see :func:`other_styles`."""
 
 
 def rollouts_per_style(cfg: DictConfig) -> int:
@@ -28,12 +29,12 @@ def rollouts_per_style(cfg: DictConfig) -> int:
         ValueError: if a style has no rollout to train on beside the one that is held out.
     """
     total = cfg.style_negatives.rollouts
-    if total != 0 and total < 2 * _NUM_STYLES:
+    if total != 0 and total < 2 * NUM_STYLES:
         raise ValueError(
-            f"style_negatives.rollouts must be 0 or at least {2 * _NUM_STYLES}, one to train on and "
-            f"one to hold out for each of {_NUM_STYLES} styles, got {total}."
+            f"style_negatives.rollouts must be 0 or at least {2 * NUM_STYLES}, one to train on and "
+            f"one to hold out for each of {NUM_STYLES} styles, got {total}."
         )
-    return total // _NUM_STYLES
+    return total // NUM_STYLES
 
 
 def other_styles(cfg: DictConfig, recorded: TensorDictBase | None = None) -> list[TensorDictBase]:

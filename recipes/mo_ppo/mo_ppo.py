@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import copy
 
-import hydra
 import torch
 import tqdm
 from omegaconf import DictConfig
@@ -20,6 +19,7 @@ from torchrl._utils import timeit
 from torchrl.collectors import Collector
 from torchrl.envs import RewardScaling
 
+from recipes.training import command
 from recipes.training.agent import make_averaged
 from recipes.training.checkpoint import Checkpoints, CollectorState, Counters, check_frames_left
 from recipes.training.corners import evaluate_corners
@@ -42,15 +42,15 @@ from . import penalties
 from .batches import BATCH, failing, failure_rate, make_replay_buffer
 from .networks import ENVS_AT_ONCE, make_advantage, make_critic, make_loss, make_policy
 from .optimizers import make_optimizers, make_schedule
-from .start import check, check_start, complete
+from .schema import Config
+from .start import check_start, complete
 
 
-@hydra.main(version_base="1.3", config_path="", config_name="config")
+@command.recipe("config", Config)
 def main(cfg: DictConfig) -> None:
     """Polish a policy, evaluate it on the way, and save what is evaluated."""
     loaded = load_policy(cfg.policy, device=cfg.device)
     cfg = complete(cfg, loaded.card)
-    check(cfg)
     task = make_task(cfg)
     check_start(cfg, task, loaded.actor, loaded.preference_space)
 
@@ -101,7 +101,8 @@ def main(cfg: DictConfig) -> None:
     progress = tqdm.tqdm(
         total=cfg.collector.total_frames, initial=count.frames, unit="step", smoothing=0.05
     )
-    for batches, data in enumerate(collector, start=count.frames // cfg.collector.frames_per_batch):
+    done = count.frames // cfg.collector.frames_per_batch
+    for batches, data in enumerate(command.until_stopped(collector), start=done):
         collected, frames = count.frames, count.frames + data.numel()
         count.frames = frames
         progress.update(data.numel())
@@ -172,10 +173,14 @@ def main(cfg: DictConfig) -> None:
             tqdm.tqdm.write(result.table(frames))
             # What goes on from the end has a schedule of its own.
             count.begin = frames if last else count.begin
+            # Behind the small policy, which a full disk must not cost.
             with timeit("checkpoint"):
                 checkpoints.save(frames)
             progress.set_postfix(success=f"{result.success:.0f}%", score=f"{result.score:.2f}")
     progress.close()
+    if command.stop_requested() and count.frames < cfg.collector.total_frames:
+        checkpoints.save(count.frames)
+        raise command.Stopped(f"after {count.frames:,} steps")
     collector.shutdown()
     print(time_shares())
     warn_if_failing(result.success)

@@ -12,42 +12,6 @@ from torchrl_morl.deploy import training_config
 from torchrl_morl.preferences import PreferenceSpace
 
 
-def check(cfg: DictConfig) -> None:
-    """What nothing further down would refuse.
-
-    Raises:
-        ValueError: for a batch size, a noise or a coefficient that means nothing.
-    """
-    if cfg.collector.frames_per_batch % cfg.env.num_envs:
-        raise ValueError(
-            "collector.frames_per_batch must be a multiple of env.num_envs, "
-            f"{cfg.env.num_envs}, got {cfg.collector.frames_per_batch}."
-        )
-    if not 0 < cfg.optim.batch_size <= cfg.collector.frames_per_batch:
-        raise ValueError(
-            "optim.batch_size must lie between 1 and collector.frames_per_batch, "
-            f"{cfg.collector.frames_per_batch}, got {cfg.optim.batch_size}."
-        )
-    least_of = {"penalty_batch_size": 1, "epochs": 1, "critic_epochs": 1, "critic_batches": 0}
-    for name, least in least_of.items():
-        if cfg.optim[name] < least:
-            raise ValueError(f"optim.{name} must be at least {least}, got {cfg.optim[name]}.")
-    sigma = list(cfg.collector.exploration_sigma)
-    if len(sigma) != 2 or min(sigma) <= 0:
-        raise ValueError(
-            "collector.exploration_sigma must be positive, for speed and turn rate, since without "
-            f"noise there is nothing to compare, got {sigma}."
-        )
-    if cfg.loss.anchor_window < 1 or cfg.loss.anchor_window % 2 == 0:
-        raise ValueError(
-            "loss.anchor_window must be an odd number of steps, 1 for no average, "
-            f"got {cfg.loss.anchor_window}."
-        )
-    for name in ("anchor_coeff", "anchor_radius", "smoothness_coeff", "standing_coeff"):
-        if cfg.loss[name] < 0:
-            raise ValueError(f"loss.{name} must not be negative, got {cfg.loss[name]}.")
-
-
 def complete(cfg: DictConfig, card: dict[str, Any]) -> DictConfig:
     """The configuration with what is null in ``env`` and ``evaluation`` taken from the policy's card.
 

@@ -7,7 +7,6 @@ Method of Basaklar et al. (https://arxiv.org/abs/2208.07914) as used by de Heuve
 
 from __future__ import annotations
 
-import hydra
 import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
@@ -17,6 +16,7 @@ from torchrl.objectives import SoftUpdate
 
 from recipes.training import off_policy
 from recipes.training.agent import make_averaged, make_policy
+from recipes.training.command import recipe
 from recipes.training.corners import CornerResult
 from recipes.training.gradients import make_gradients
 from recipes.training.loss import make_loss, pre_tanh_coeff
@@ -24,8 +24,10 @@ from recipes.training.optimizers import make_optimizers
 from recipes.training.replay import make_replay_buffer
 from recipes.training.task import make_task
 
+from .schema import Config
 
-@hydra.main(version_base="1.3", config_path="", config_name="config")
+
+@recipe("config", Config)
 def main(cfg: DictConfig) -> None:
     """Train, evaluate while training, and save the last and the best policy."""
     task = make_task(cfg)

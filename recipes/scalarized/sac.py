@@ -8,7 +8,6 @@ recipes.scalarized.sac``, and SAC-PR-gamma with ``loss.gamma=0.98``; every field
 
 from __future__ import annotations
 
-import hydra
 import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
@@ -18,15 +17,17 @@ from torchrl.objectives import SoftUpdate
 
 from recipes.training import off_policy
 from recipes.training.agent import make_actor, make_averaged
+from recipes.training.command import recipe
 from recipes.training.optimizers import make_optimizers, step
 from recipes.training.task import make_task
 
 from .losses import make_sac_loss
 from .rewards import make_replay_buffer
+from .schema import SACConfig
 from .stochastic import make_stochastic_policy
 
 
-@hydra.main(version_base="1.3", config_path="", config_name="sac")
+@recipe("sac", SACConfig)
 def main(cfg: DictConfig) -> None:
     """Train, evaluate while training, and save the deterministic part of the policy."""
     task = make_task(cfg)

@@ -8,7 +8,6 @@ recipes.scalarized.td3``, and CORE with ``objective=core``; every field of ``td3
 
 from __future__ import annotations
 
-import hydra
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -17,19 +16,19 @@ from torchrl.objectives import SoftUpdate
 
 from recipes.training import off_policy
 from recipes.training.agent import make_averaged, make_policy
+from recipes.training.command import recipe
 from recipes.training.optimizers import make_optimizers, step
 from recipes.training.task import make_task
 
 from .core import core_only, cut_off_preference
 from .losses import make_td3_loss
 from .rewards import make_replay_buffer
+from .schema import TD3Config
 
 
-@hydra.main(version_base="1.3", config_path="", config_name="td3")
+@recipe("td3", TD3Config)
 def main(cfg: DictConfig) -> None:
     """Train, evaluate while training, and save the last and the best policy."""
-    if cfg.objective not in ("preference", "core"):
-        raise ValueError(f"objective must be 'preference' or 'core', got {cfg.objective!r}.")
     task = make_task(cfg)
     if cfg.objective == "core":
         task = core_only(task)

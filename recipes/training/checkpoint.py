@@ -6,6 +6,7 @@ what they hold is safetensors and JSON: TorchRL's own payload reads pickles that
 
 from __future__ import annotations
 
+import errno
 import json
 import shutil
 from collections.abc import Mapping
@@ -50,7 +51,11 @@ class SafeStateAdapter(CheckpointAdapter):
         tensors: dict[str, Tensor] = {}
         schema = _encode(component.state_dict(*args, **kwargs), tensors)
         path.mkdir(parents=True, exist_ok=True)
-        save_file(tensors, path / self._TENSORS)
+        try:
+            save_file(tensors, path / self._TENSORS)
+        except SafetensorError as error:
+            # Its own kind of error also for a full disk.
+            raise OSError(errno.EIO, f"{error}", str(path / self._TENSORS)) from error
         (path / self._SCHEMA).write_text(json.dumps(schema, separators=(",", ":")))
 
     def load(

@@ -16,7 +16,7 @@ from torchrl._utils import timeit
 from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 
-from . import logs
+from . import command, logs
 from .checkpoint import BufferState, Checkpoints, CollectorState, Counters, check_frames_left
 from .corners import CornerResult, evaluate_corners
 from .pictures import trajectories_picture
@@ -57,11 +57,10 @@ def train(
     Keyword Args:
         after_updates: called after those of a batch of frames, with the frames so far.
         after_evaluation: called with its result, before anything is saved.
+
+    Raises:
+        Stopped: where somebody has, see :mod:`.command`.
     """
-    if cfg.optim.updates_per_batch < 1:
-        raise ValueError(
-            f"optim.updates_per_batch must be at least 1, got {cfg.optim.updates_per_batch}."
-        )
     collector = Collector(
         task.env,
         policy,
@@ -90,7 +89,7 @@ def train(
     progress = tqdm.tqdm(
         total=cfg.collector.total_frames, initial=count.frames, unit="step", smoothing=0.05
     )
-    for data in collector:
+    for data in command.until_stopped(collector):
         with timeit("extend"):
             replay_buffer.extend(data.reshape(-1).select(*TRANSITION))
         collected, frames = count.frames, count.frames + data.numel()
@@ -124,6 +123,7 @@ def train(
                 after_evaluation(result)
             count.score, count.success = result.score, result.success
             logs.log_metrics(loggers, result.metrics, frames)
+            # The small policy first: it is what a full disk must not cost.
             folder = task.run_dir / "policies" / f"{frames:09d}"
             save_training_policy(folder, cfg, averaged.module, task, result)
             trajectories_picture(
@@ -138,6 +138,9 @@ def train(
             with timeit("checkpoint"):
                 checkpoints.save(frames)
     progress.close()
+    if command.stop_requested() and count.frames < cfg.collector.total_frames:
+        checkpoints.save(count.frames)
+        raise command.Stopped(f"after {count.frames:,} steps")
     collector.shutdown()
     print(logs.time_shares())
     logs.warn_if_failing(count.success)

@@ -1,15 +1,65 @@
-"""The run folder of a training: what made it."""
+"""The run folder of a training: claimed by one run alone, and what made it."""
 
 from __future__ import annotations
 
 import importlib.metadata
+import itertools
 import json
+import os
 import platform
 import shutil
 import subprocess
 import time
 from pathlib import Path
 from typing import Any
+
+
+def claim(base: Path) -> Path:
+    """Make a new folder ``base/<date>_<time>``, which no other process gets.
+
+    Of two that ask in the same second one gets ``-2`` at its end, and so on.
+
+    Raises:
+        OSError: if it cannot be made.
+
+    Examples:
+        >>> import tempfile
+        >>> base = Path(tempfile.mkdtemp())
+        >>> claim(base) == claim(base)
+        False
+    """
+    base.mkdir(parents=True, exist_ok=True)
+    while True:
+        folder = free_name(base)
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue  # somebody else was quicker
+        return folder
+
+
+def free_name(base: Path) -> Path:
+    """The folder that :func:`claim` would make now."""
+    name = time.strftime("%Y-%m-%d_%H-%M-%S")
+    numbered = (f"{name}-{number}" for number in itertools.count(2))
+    return next(
+        base / one for one in itertools.chain([name], numbered) if not (base / one).exists()
+    )
+
+
+def check_new(folder: Path, option: str = "hydra.run.dir") -> None:
+    """Refuse a folder that holds something.
+
+    Raises:
+        FileExistsError: if it does, or if it is a file.
+    """
+    if folder.is_dir():
+        policies = folder / "policies"
+        found = policies if policies.exists() else next(iter(sorted(folder.iterdir())), None)
+    else:
+        found = folder if folder.exists() else None
+    if found is not None:
+        raise FileExistsError(f"{found} exists and is not overwritten: choose another {option}.")
 
 
 def check_run_dir(run_dir: Path) -> None:
@@ -21,30 +71,77 @@ def check_run_dir(run_dir: Path) -> None:
         )
 
 
+def remove_if_refused(run_dir: Path, *, keep: bool = False) -> None:
+    """Remove a folder that holds nothing but what Hydra writes before a recipe begins.
+
+    Args:
+        run_dir: the folder.
+
+    Keyword Args:
+        keep: the folder itself, which was there before.
+    """
+    if run_dir.is_dir() and {entry.name for entry in run_dir.iterdir()} <= {".hydra"}:
+        shutil.rmtree(run_dir / ".hydra", ignore_errors=True)
+        if not keep:
+            run_dir.rmdir()
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a file that is there whole or not at all, whenever the process ends.
+
+    Raises:
+        OSError: if it cannot be written; what was there before is untouched.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with part.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
 def write_run_info(run_dir: Path) -> None:
-    """Versions and git state, beside the resolved configuration that Hydra writes."""
+    """Versions and git state, beside the resolved configuration that Hydra writes.
+
+    ``run.json`` keeps what it holds: a start in a folder that has one is added to its list ``resumed``.
+    """
+    path = run_dir / "run.json"
+    if path.exists():
+        info = json.loads(path.read_text())
+        resumed = info.setdefault("resumed", [])
+        resumed.append(_start(run_dir, f"uncommitted_{len(resumed) + 2}.diff"))
+    else:
+        info = _start(run_dir, "uncommitted.diff")
+    write_atomically(path, json.dumps(info, indent=2) + "\n")
+
+
+def _start(run_dir: Path, diff: str) -> dict[str, Any]:
     packages = ("torch", "torchrl", "tensordict", "mujoco", "numpy")
-    info = {
+    return {
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "python": platform.python_version(),
         "versions": {name: importlib.metadata.version(name) for name in packages},
-        "git": _git_state(run_dir),
+        "git": _git_state(run_dir / diff),
     }
-    (run_dir / "run.json").write_text(json.dumps(info, indent=2) + "\n")
 
 
-def _git_state(run_dir: Path) -> dict[str, Any] | None:
+def _git_state(diff_file: Path) -> dict[str, Any] | None:
     if shutil.which("git") is None:
         return None
 
     def git(*arguments: str) -> subprocess.CompletedProcess:
         where = Path(__file__).parent
-        return subprocess.run(["git", *arguments], cwd=where, capture_output=True, text=True)
+        return subprocess.run(
+            ["git", *arguments], cwd=where, capture_output=True, text=True, errors="replace"
+        )
 
     commit = git("rev-parse", "HEAD")
     if commit.returncode:
         return None
     diff = git("diff", "HEAD").stdout
     if diff:
-        (run_dir / "uncommitted.diff").write_text(diff)
+        write_atomically(diff_file, diff)
     return {"commit": commit.stdout.strip(), "uncommitted_changes": bool(diff)}

@@ -60,8 +60,6 @@ def make_task(cfg: DictConfig) -> Task:
     run_dir = Path(HydraConfig.get().runtime.output_dir)
     if cfg.get("resume") is None:
         check_run_dir(run_dir)
-    if not 0 < cfg.loss.gamma <= 1:
-        raise ValueError(f"loss.gamma must be in (0, 1], got {cfg.loss.gamma}.")
     device = torch.device(cfg.device)
     demo = load_demonstration_objective(cfg)
     reward_model, demo_card = demo if demo else (None, None)

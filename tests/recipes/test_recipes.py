@@ -229,10 +229,11 @@ def test_training_that_ends_between_two_evaluations_keeps_its_policy(tmp_path):
     assert (tmp_path / "policies" / "000000576" / "policy.safetensors").is_file()
 
 
-def test_training_without_an_update_has_no_policy(tmp_path):
-    result = train(tmp_path, "collector.total_frames=96")
-    assert result.returncode == 0, result.stderr
-    assert not (tmp_path / "policies").exists()
+def test_training_without_an_update_is_refused(tmp_path):
+    result = train(tmp_path / "run", "collector.total_frames=96")
+    assert result.returncode == 2
+    assert "greater than collector.init_random_frames, 480, got 96" in result.stderr
+    assert not (tmp_path / "run").exists()
 
 
 def test_run_folder_that_holds_policies_is_refused_before_the_training(trained):

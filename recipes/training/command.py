@@ -1,0 +1,287 @@
+"""The command line of a recipe: Hydra's, with a whole check before anything is written and one line for a mistake.
+
+::
+
+    @recipe("config", Config)
+    def main(cfg: DictConfig) -> None: ...
+
+A training polls :func:`stop_requested` behind every step, or takes its batches from :func:`until_stopped`,
+and raises :class:`Stopped` when it has saved.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import functools
+import logging
+import os
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+from unittest import mock
+
+import hydra
+import tqdm
+from hydra import compose, initialize_config_dir
+from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from pydantic import BaseModel
+
+from . import run_folder, stopping
+from .command_help import help_text
+from .overrides import jobs, prepared
+from .stopping import Stopped, stop_requested, undisturbed, until_stopped
+from .user_errors import error_line
+from .validation import ConfigurationError, validate
+
+__all__ = ["Stopped", "recipe", "stop_requested", "undisturbed", "until_stopped"]
+
+Main = Callable[[DictConfig], None]
+
+_QUIET = ("hydra/job_logging=none", "hydra/hydra_logging=none")
+
+_new_runs: dict[str, Path] = {}
+"""What ``${new_run:...}`` is in this command."""
+
+
+def recipe(config_name: str, schema: type[BaseModel]) -> Callable[[Main], Callable[..., None]]:
+    """Makes the main function of a recipe its command.
+
+    Args:
+        config_name: of the YAML beside the recipe.
+        schema: what it allows.
+    """
+
+    def decorate(main: Main) -> Callable[..., None]:
+        @functools.wraps(main)
+        def command(cfg: DictConfig | None = None) -> None:
+            if cfg is not None:
+                return main(cfg)
+            return _Command(main, config_name, schema).run(sys.argv[1:])
+
+        return command
+
+    return decorate
+
+
+def check(
+    config_name: str,
+    schema: type[BaseModel],
+    folder: Path,
+    overrides: Sequence[str],
+    *,
+    planned: Path | None = None,
+) -> dict[str, Any]:
+    """Check the configuration that overrides make, as the command does before it begins.
+
+    Args:
+        config_name: of the YAML.
+        schema: of the recipe.
+        folder: of the YAML.
+        overrides: as given by the user.
+
+    Keyword Args:
+        planned: a folder; what lies in it need not be there yet.
+
+    Returns:
+        The configuration.
+
+    Raises:
+        ConfigurationError: if the recipe refuses it.
+        HydraException: if Hydra does.
+    """
+    with _composing(folder):
+        cfg = compose(config_name, overrides=prepared(overrides, schema, folder))
+    config = OmegaConf.to_container(cfg, resolve=True)
+    validate(schema, config, planned=planned)
+    return config
+
+
+class _InJob(BaseException):
+    """Carries what a recipe raises past Hydra, which would print a line of its own."""
+
+    def __init__(self, error: BaseException) -> None:
+        super().__init__()
+        self.error = error
+
+
+class _Command:
+    def __init__(self, main: Main, config_name: str, schema: type[BaseModel]) -> None:
+        self.main, self.config_name, self.schema = main, config_name, schema
+        module = sys.modules[main.__module__]
+        spec = getattr(module, "__spec__", None)
+        self.module = spec.name if spec is not None else Path(str(module.__file__)).stem
+        self.folder = Path(str(module.__file__)).resolve().parent
+        self.about = (module.__doc__ or "").split("\n\n")[0]
+        self.run_dir: Path | None = None
+        self.was_there = False
+        """The run folder, before this command."""
+        self.was_empty = True
+        self.overrides: list[str] = []
+
+    def run(self, arguments: Sequence[str]) -> None:
+        debug = "--debug" in arguments or os.environ.get("HYDRA_FULL_ERROR") == "1"
+        arguments = [one for one in arguments if one != "--debug"]
+        _new_runs.clear()
+        with stopping.handled():
+            try:
+                self._run(arguments)
+                return
+            except (SystemExit, GeneratorExit):
+                raise
+            except BaseException as error:
+                failure = error.error if isinstance(error, _InJob) else error
+            self._fail(failure, debug=debug)
+
+    def _fail(self, failure: BaseException, *, debug: bool) -> NoReturn:
+        line, code = error_line(failure, self.run_dir, go_on=self._go_on())
+        if self.run_dir is not None and self.was_empty:
+            run_folder.remove_if_refused(self.run_dir, keep=self.was_there)
+        is_stop = isinstance(failure, Stopped | KeyboardInterrupt)
+        if line is None or (debug and not is_stop):
+            raise failure
+        for bar in list(getattr(tqdm.tqdm, "_instances", ())):
+            bar.close()
+        print(line if is_stop else f"error: {line}", file=sys.stderr)
+        if isinstance(failure, BrokenPipeError):
+            # Python writes what is left in its buffer when it ends.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(code) from None
+
+    def _go_on(self) -> str | None:
+        """The command that goes on where this one was; ``None`` where nothing is saved for it."""
+        if self.run_dir is None or "resume" not in self.schema.model_fields:
+            return None
+        checkpoints = self.run_dir / "checkpoints"
+        if not checkpoints.is_dir() or not any(checkpoints.glob("[!.]*")):
+            return None
+        given = [one for one in self.overrides if not one.startswith(("resume=", "hydra."))]
+        return shlex.join(["python", "-m", self.module, *given, f"resume={_shown(self.run_dir)}"])
+
+    def _run(self, arguments: Sequence[str]) -> None:
+        if {"-h", "--help"} & set(arguments):
+            print(self._help())
+            return
+        parser = get_args_parser()
+        parser.error = _refuse_arguments
+        args = parser.parse_args(arguments)
+        if args.experimental_rerun is not None:
+            raise ConfigurationError("--experimental-rerun would run a pickle: give the fields.")
+        if args.config_dir is not None or args.config_path is not None:
+            raise ConfigurationError("--config-dir and --config-path: give the fields instead.")
+        if args.config_name not in (None, self.config_name):
+            raise ConfigurationError(
+                f"--config-name must be {self.config_name}, got {args.config_name!r}."
+            )
+        # What only shows the configuration makes no folder.
+        shows = bool(args.cfg or args.info or args.hydra_help or args.shell_completion)
+        _register_new_run(run_folder.free_name if shows else run_folder.claim)
+        multirun = args.multirun or "hydra.mode=MULTIRUN" in args.overrides
+        self.overrides = prepared(args.overrides, self.schema, self.folder, multirun=multirun)
+        if not shows:
+            self._check(multirun=multirun)
+        options = _options(args)
+        argv = [sys.argv[0], *options, *_QUIET, *self.overrides]
+        task = hydra.main(
+            config_path=str(self.folder), config_name=self.config_name, version_base="1.3"
+        )(self._job())
+        with (
+            mock.patch.object(sys, "argv", argv),
+            mock.patch.dict(os.environ, {"HYDRA_FULL_ERROR": "1"}),
+        ):
+            task()
+
+    def _check(self, *, multirun: bool) -> None:
+        """Check everything that will run, then claim or check its folder."""
+        with _composing(self.folder):
+            for overrides in jobs(self.overrides) if multirun else [self.overrides]:
+                cfg = compose(self.config_name, [*_QUIET, *overrides], return_hydra_config=True)
+                config = OmegaConf.masked_copy(cfg, [name for name in cfg if name != "hydra"])
+                validate(self.schema, OmegaConf.to_container(config, resolve=True))
+        folder = Path(cfg.hydra.sweep.dir if multirun else cfg.hydra.run.dir)
+        resumed = config.get("resume")
+        if folder not in _new_runs.values():
+            self.was_there = folder.exists()
+            self.was_empty = resumed is None or Path(resumed).resolve() != folder.resolve()
+            if self.was_empty:
+                run_folder.check_new(folder)
+        self.run_dir = folder
+
+    def _job(self) -> Main:
+        @functools.wraps(self.main)
+        def job(cfg: DictConfig) -> None:
+            now = HydraConfig.get()
+            if "MULTIRUN" in str(now.mode):
+                self.run_dir = Path(now.runtime.output_dir)
+                print(f"--- job {now.job.num}: {' '.join(now.overrides.task)} -> {self.run_dir}")
+            try:
+                with _quiet_torchrl():
+                    self.main(cfg)
+            except Exception as error:
+                raise _InJob(error) from None
+
+        return job
+
+    def _help(self) -> str:
+        with _composing(self.folder):
+            cfg = compose(self.config_name)
+        defaults = OmegaConf.to_container(cfg)
+        return help_text(self.module, self.about, self.schema, defaults, self.folder)
+
+
+@contextlib.contextmanager
+def _composing(folder: Path) -> Iterator[None]:
+    with initialize_config_dir(str(folder), version_base="1.3"):
+        yield
+
+
+def _register_new_run(make: Callable[[Path], Path]) -> None:
+    """The resolver ``new_run``: a folder of its own for every run, made when it is first asked for."""
+
+    def new_run(base: str) -> str:
+        if base not in _new_runs:
+            _new_runs[base] = make(Path(base))
+        return str(_new_runs[base])
+
+    OmegaConf.register_new_resolver("new_run", new_run, replace=True)
+
+
+@contextlib.contextmanager
+def _quiet_torchrl() -> Iterator[None]:
+    """What TorchRL notes for its developers is no news to those who train; its warnings are."""
+    logger = logging.getLogger("torchrl")
+    level = logger.level
+    logger.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+def _refuse_arguments(message: str) -> NoReturn:
+    raise ConfigurationError(f"{message}; fields are given as seed=1, --help lists them.")
+
+
+def _options(args: argparse.Namespace) -> list[str]:
+    """The flags of Hydra that were given, without the overrides."""
+    given: list[str] = []
+    for name in ("hydra_help", "multirun", "run", "resolve", "shell_completion"):
+        if getattr(args, name):
+            given.append(f"--{name.replace('_', '-')}")
+    for name in ("cfg", "package", "info"):
+        value: Any = getattr(args, name)
+        if value is not None:
+            given += [f"--{name}", value]
+    return given
+
+
+def _shown(path: Path) -> str:
+    """Relative to where the user is, if it lies below."""
+    try:
+        return str(path.resolve().relative_to(Path.cwd()))
+    except ValueError:
+        return str(path)

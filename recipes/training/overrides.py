@@ -1,0 +1,100 @@
+"""The command line of a recipe: fields that it has, and paths that Hydra's grammar can read."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from pydantic import BaseModel
+
+from .quoting import in_quotes, is_sweep, reads_as
+from .validation import ConfigurationError, leaves, unknown_field
+
+_FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
+_OVERRIDE = re.compile(r"(?P<sign>\+\+|\+|~|)(?P<key>[^=]*)=(?P<value>.*)", re.DOTALL)
+
+
+def prepared(
+    overrides: Sequence[str], schema: type[BaseModel], folder: Path, *, multirun: bool = False
+) -> list[str]:
+    """Overrides as Hydra takes them.
+
+    Paths are quoted where they need it, ``+field=`` of a field that there is becomes ``field=``.
+
+    Args:
+        overrides: as given by the user.
+        schema: of the recipe.
+        folder: of its YAML files; the folders in it are Hydra's groups, such as ``preset``.
+
+    Keyword Args:
+        multirun: whether ``a,b`` are two values instead of a path with a comma.
+
+    Raises:
+        ConfigurationError: for a field that there is not, or what is no override.
+    """
+    known = {leaf.name: leaf for leaf in leaves(schema)}
+    sections = {
+        ".".join(parts[:end])
+        for name in known
+        for parts in [name.split(".")]
+        for end in range(1, len(parts))
+    }
+    result = []
+    for override in overrides:
+        match = _OVERRIDE.fullmatch(override)
+        if match is None:
+            if override.startswith("~"):
+                raise ConfigurationError(f"{override}: no field can be left out, null is nothing.")
+            raise ConfigurationError(f"{override!r} is not field=value; --help lists the fields.")
+        sign, key, value = match["sign"], match["key"], match["value"]
+        if key.startswith("hydra"):
+            is_path = key in _FOLDERS
+        elif (folder / key).is_dir() and key:
+            is_path = False
+        elif sign == "~":
+            raise ConfigurationError(f"{override}: no field can be left out, null is nothing.")
+        else:
+            owner = next(
+                (name for name in known if key == name or key.startswith(f"{name}.")), None
+            )
+            if owner is None and key not in sections:
+                raise ConfigurationError(unknown_field(key, schema))
+            is_path = key == owner and known[owner].path is not None
+            if key == owner:
+                # What the YAML does not have Hydra adds only if told so.
+                sign = "++" if known[owner].optional else ""
+        if is_path:
+            value = _path_value(value, multirun=multirun)
+        result.append(f"{sign}{key}={value}")
+    return result
+
+
+def jobs(overrides: Sequence[str]) -> Iterator[list[str]]:
+    """The overrides of every job of a multirun.
+
+    Raises:
+        HydraException: for an override that cannot be read.
+    """
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    values = [
+        [f"{one.get_key_element()}={value}" for value in one.sweep_string_iterator()]
+        if one.is_sweep_override()
+        else [text]
+        for one, text in zip(parsed, overrides, strict=True)
+    ]
+    for combination in itertools.product(*values):
+        yield list(combination)
+
+
+def _path_value(value: str, *, multirun: bool) -> str:
+    if value[:1] in "'\"{" or reads_as(value) == value:  # "" is in every text
+        return value
+    if value.lower() == "null" or (multirun and is_sweep(value)):
+        return value
+    read = reads_as(value)
+    if isinstance(read, str) and not Path(value).exists():  # the user has escaped it
+        return value
+    return in_quotes(value)

@@ -1,0 +1,123 @@
+"""Ctrl-C and SIGTERM: a training finishes its step, everything else ends at once."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import signal
+import sys
+import threading
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+@dataclasses.dataclass
+class StopRequested:
+    """Whether somebody has asked a training to stop.
+
+    Args:
+        signal: that asked; ``None`` if nobody has.
+        waits: whether something is under way that is finished first.
+        begun: whether a step has been taken, or anything written.
+    """
+
+    signal: int | None = None
+    waits: bool = False
+    begun: bool = False
+
+
+class Stopped(Exception):
+    """Raised by a training that was asked to stop and has finished its step.
+
+    Args:
+        done: what it has done, "after 960 steps".
+    """
+
+    def __init__(self, done: str) -> None:
+        super().__init__(done)
+        self.done = done
+
+
+class Interrupted(KeyboardInterrupt):
+    """Raised where nothing is worth finishing."""
+
+
+_request = StopRequested()
+
+
+def stop_requested() -> bool:
+    """Whether to finish the step, save, and raise :class:`Stopped`."""
+    return _request.signal is not None
+
+
+def has_begun() -> bool:
+    """Whether a training has taken a step, or a recipe has written something."""
+    return _request.begun
+
+
+def exit_code() -> int:
+    """Of a process that was asked to stop: 130 for Ctrl-C, 143 for SIGTERM."""
+    return 128 + (_request.signal or signal.SIGINT)
+
+
+def until_stopped(batches: Iterable[T]) -> Iterator[T]:
+    """Batches of a training up to the one in which somebody asks it to stop.
+
+    From the first on, a request waits for the end of the step. Then the iteration ends; the caller asks
+    :func:`stop_requested`, saves and raises :class:`Stopped`, for which the request waits as well.
+
+    Examples:
+        >>> list(until_stopped(range(3)))
+        [0, 1, 2]
+    """
+    for batch in batches:
+        _request.waits = _request.begun = True
+        yield batch
+        if stop_requested():
+            return
+    _request.waits = stop_requested()
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """A block that a request waits for, such as the writing of a file; it ends the process behind it.
+
+    Raises:
+        Interrupted: at the end of the block, if somebody has asked in it.
+    """
+    before, _request.waits, _request.begun = _request.waits, True, True
+    try:
+        yield
+    finally:
+        _request.waits = before
+    if stop_requested() and not before:
+        raise Interrupted
+
+
+@contextlib.contextmanager
+def handled() -> Iterator[StopRequested]:
+    """Turns Ctrl-C and SIGTERM into requests, in the main thread, as long as the block lasts."""
+    _request.signal, _request.waits, _request.begun = None, False, False
+    if threading.current_thread() is not threading.main_thread():
+        yield _request
+        return
+    before = {one: signal.signal(one, _ask) for one in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield _request
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+        _request.waits = False
+
+
+def _ask(number: int, frame: object) -> None:
+    # A scheduler may send SIGTERM to a process and its children, who forward it: once is enough.
+    again = stop_requested() and number == signal.SIGINT
+    if not stop_requested() or again:
+        _request.signal = number
+    if again or not _request.waits:
+        raise Interrupted
+    if sys.stderr.isatty():
+        print("\nfinishing the step; Ctrl-C again ends at once", file=sys.stderr)

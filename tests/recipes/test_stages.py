@@ -1,0 +1,136 @@
+"""Stages: children that end with their parent, and a record of what is finished."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import recipes
+from recipes.stages import Record, lock, run, unfinished
+
+ROOT = Path(recipes.__file__).parents[1]
+# A stage that says who it is, and what it is told.
+STAGE = """
+import os, signal, sys, time
+def told(number, frame):
+    open(sys.argv[1] + ".told", "a").write(f"{number} ")
+    sys.exit(5)
+signal.signal(signal.SIGINT, told)
+signal.signal(signal.SIGTERM, told)
+open(sys.argv[1] + ".part", "w").write(f"{os.getpid()} {os.getsid(0)}")
+os.rename(sys.argv[1] + ".part", sys.argv[1])
+time.sleep(60)
+"""
+PARENT = "import sys; from recipes.stages import run; run('it', ['stage', sys.argv[1]])"
+
+
+@pytest.fixture
+def parent(tmp_path):
+    """A process with a stage, and the ids of both."""
+    (tmp_path / "stage.py").write_text(STAGE)
+    note = tmp_path / "note"
+    path = os.pathsep.join([str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    process = subprocess.Popen(
+        [sys.executable, "-c", PARENT, str(note)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert eventually(note.exists)
+    stage, session = map(int, note.read_text().split())
+    assert session == stage != process.pid
+    yield process, stage, tmp_path / "note.told"
+    process.kill()
+    process.communicate()
+
+
+def eventually(condition: Callable[[], bool], seconds: float = 60) -> bool:
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.02)
+    return condition()
+
+
+def ended(process_id: int) -> bool:
+    try:
+        state = Path(f"/proc/{process_id}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except FileNotFoundError:
+        return True
+    return state == "Z"
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stage_is_told_to_stop_and_waited_for(parent, number, code):
+    process, stage, told = parent
+    process.send_signal(number)
+    process.communicate(timeout=60)
+    assert process.returncode == code
+    assert told.read_text() == f"{int(number)} "
+    assert ended(stage)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's")
+def test_a_stage_ends_when_its_parent_is_killed(parent):
+    process, stage, told = parent
+    process.kill()
+    assert eventually(lambda: ended(stage))
+    assert told.read_text() == f"{int(signal.SIGTERM)} "
+
+
+def test_a_stage_that_fails_is_named():
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    with pytest.raises(SystemExit, match=r"D-REX failed with exit code 2; see above\."):
+        run("D-REX", ["json.tool", "--no-such-option"])
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+def test_a_stage_is_shown_as_a_shell_takes_it(capfd):
+    assert run("it", ["timeit", "-n1", "-r1", "1 + 1"]) > 0
+    assert "--- it: python -m timeit -n1 -r1 '1 + 1'" in capfd.readouterr().out
+
+
+def test_a_record_is_what_was_saved(tmp_path):
+    record = Record(tmp_path, {"drex": ["seed=1"], "episodes": 5})
+    record.begin("D-REX", ["recipes.drex.drex", "seed=1"], "drex")
+    read = Record.load(tmp_path)
+    assert read == record
+    assert read.folder_of("D-REX") == tmp_path / "drex"
+    assert not read.is_finished("D-REX") and not read.is_finished("PD-MORL")
+    assert read.folder_of("PD-MORL") is None
+    record.finish("D-REX", 1.5)
+    assert Record.load(tmp_path).is_finished("D-REX")
+    assert [path.name for path in tmp_path.iterdir()] == ["stages.json"]
+
+
+@pytest.mark.parametrize(
+    "content", ["", "[]", "{}", '{"options": [], "stages": {}, "finished": false}', "[" * 100_000]
+)
+def test_a_record_that_cannot_be_read_is_named(content, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "stages.json").write_text(content)
+    with pytest.raises(ValueError, match=r"stages\.json cannot be read: "):
+        Record.load(tmp_path / "run")
+    assert unfinished(tmp_path) is None
+
+
+def test_the_latest_unfinished_training_that_nobody_works_on(tmp_path):
+    assert unfinished(tmp_path) is None
+    for name, finished in (("1", False), ("2", False), ("3", True)):
+        (tmp_path / name).mkdir()
+        content = {"options": {}, "stages": {}, "finished": finished}
+        (tmp_path / name / "stages.json").write_text(json.dumps(content))
+    assert unfinished(tmp_path) == tmp_path / "2"
+    with lock(tmp_path / "2"):
+        assert lock(tmp_path / "2") is None
+        assert unfinished(tmp_path) == tmp_path / "1"
+    assert unfinished(tmp_path) == tmp_path / "2"

@@ -1,0 +1,186 @@
+"""The command line of recipes.train: what it refuses before the first stage, and how it goes on."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+import recipes.train
+from recipes.stages import Record, lock
+
+
+@pytest.fixture
+def stages(tmp_path, monkeypatch) -> list[tuple[str, list[str]]]:
+    """What would be run, by name; the stages leave what the next need."""
+    calls = []
+
+    def run(name: str, command: list[str]) -> float:
+        calls.append((name, command))
+        folder = Path(command[1].removeprefix("hydra.run.dir=").strip("'"))
+        if name in ("PD-MORL", "MO-PPO"):
+            save_policy(folder)
+        return 1.0
+
+    monkeypatch.setattr(recipes.train, "run", run)
+    monkeypatch.chdir(tmp_path)
+    return calls
+
+
+def save_policy(folder: Path) -> None:
+    policy = folder / "policies" / "000000001"
+    policy.mkdir(parents=True)
+    (policy / "policy.json").write_text(json.dumps({"card": {"score": 1.0}}))
+
+
+def train(*arguments: object) -> int | str:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["train.py", *map(str, arguments)])
+        try:
+            recipes.train.main()
+        except SystemExit as stop:
+            return stop.code
+    return 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["--drex", "reward_model.updates=0"],
+            "--drex: reward_model.updates must be at least 1, got 0.",
+        ),
+        (["--pd-morl", "seed=1", "optim.lr=-1"], "--pd-morl: optim.lr must be positive, got -1."),
+        (
+            ["--mo-ppo", "loss.clip_epsilon=-1"],
+            "--mo-ppo: loss.clip_epsilon must be in (0, 1), got -1.",
+        ),
+        (
+            ["--mo-ppo", "optim.lrr=1"],
+            "--mo-ppo: there is no field optim.lrr: did you mean optim.lr?",
+        ),
+        (["--pd-morl", "preset=fast"], "--pd-morl: In 'config': Could not find 'preset/fast'"),
+        (["--pd-morl", "demonstrations.dataset=x.safetensors"], "there is no such file."),
+        (
+            ["--pd-morl", "env.observe_human=false"],
+            "env.observe_human must be the same for --drex and",
+        ),
+        (
+            ["--pd-morl", "hydra.run.dir=x"],
+            "--pd-morl hydra.run.dir=x: --output and --resume say so.",
+        ),
+        (["--mo-ppo", "+resume=x"], "--mo-ppo +resume=x: --output and --resume say so."),
+        (
+            ["--episodes", "0"],
+            "argument --episodes: must be a whole number from 1 to 100000, got '0'",
+        ),
+        (["--episodes", "999999999"], "got '999999999'"),
+        (["--seed", "-1"], "unrecognized arguments: --seed -1"),
+        (["--resume", "nowhere"], "argument --resume: must be a folder, 'nowhere' does not exist"),
+        (["--resume", "."], "stages.json not found"),
+        (["--resume", ".", "--output", "x"], "not allowed with argument"),
+    ],
+)
+def test_a_mistake_is_one_line_before_the_first_stage(arguments, message, stages, tmp_path, capsys):
+    assert train(*arguments) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("train.py: error: ") and message in line
+    assert stages == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_training_records_what_is_finished(stages, tmp_path):
+    output = tmp_path / "ä (1),b=c"
+    assert train("--output", output, "--drex", "seed=2", "--episodes", 5) == 0
+    assert [name for name, _ in stages] == ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]
+    assert f"hydra.run.dir='{output}/drex'" in stages[0][1]
+    record = Record.load(output)
+    assert record.finished and all(map(record.is_finished, record.stages))
+    assert record.options["drex"] == ["seed=2"] and record.options["episodes"] == 5
+    assert record.stages["MO-PPO"]["command"] == stages[2][1]
+    assert train("--resume", output) == 2
+
+
+def test_trainings_without_a_name_have_a_folder_each(stages, tmp_path):
+    assert [train() for _ in range(2)] == [0, 0]
+    assert len(list((tmp_path / "runs" / "train").iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    ("number", "checkpoint"), [(0, False), (1, False), (1, True), (2, True), (3, False)]
+)
+def test_a_training_that_was_cut_short_goes_on(
+    number, checkpoint, stages, tmp_path, monkeypatch, capsys
+):
+    names, run = ("D-REX", "PD-MORL", "MO-PPO", "evaluation"), recipes.train.run
+
+    def cut(name: str, command: list[str]) -> float:
+        if name != names[number]:
+            return run(name, command)
+        if number < 3:
+            folder = Path(command[1].removeprefix("hydra.run.dir="))
+            (folder / "checkpoints" / ("1" if checkpoint else "")).mkdir(parents=True)
+        raise SystemExit(130)
+
+    monkeypatch.setattr(recipes.train, "run", cut)
+    output = tmp_path / "run"
+    assert train("--output", output, "--drex", "seed=2") == 130
+    go_on = f"python -m recipes.train --resume {output}"
+    assert capsys.readouterr().err == f"stopped; go on with: {go_on}\n"
+    assert train("--output", output) == 2
+    assert f"{output} holds an unfinished training: go on with --resume" in capsys.readouterr().err
+
+    stages.clear()
+    monkeypatch.setattr(recipes.train, "run", run)
+    assert train("--resume", output) == 0
+    assert [name for name, _ in stages] == list(names[number:])
+    overrides = stages[0][1][1:]
+    if number < 3:
+        cut_short = output / ("drex", "pd_morl", "mo_ppo")[number]
+        assert overrides[0] == f"hydra.run.dir={cut_short}-2"
+        assert (f"resume={cut_short}" in overrides) == checkpoint
+    if number == 0:
+        assert "seed=2" in overrides
+        # What comes after takes what has been made now.
+        assert f"demonstrations.reward_model={output}/drex-2/reward_model" in stages[1][1]
+    assert Record.load(output).finished
+
+
+def test_a_stage_that_fails_says_how_to_go_on(stages, tmp_path, monkeypatch):
+    def fail(name: str, command: list[str]) -> float:
+        raise SystemExit(f"{name} failed with exit code 1; see above.")
+
+    monkeypatch.setattr(recipes.train, "run", fail)
+    assert train("--output", tmp_path / "run") == (
+        "D-REX failed with exit code 1; see above. When that is put right go on with: "
+        f"python -m recipes.train --resume {tmp_path / 'run'}"
+    )
+
+
+def test_one_that_is_unfinished_is_offered_and_another_begins(stages, tmp_path, capsys):
+    left = tmp_path / "runs" / "train" / "2026-01-31_12-00-00"
+    left.mkdir(parents=True)
+    Record(left, {}).save()
+    assert train() == 0
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first == (
+        "runs/train/2026-01-31_12-00-00 is unfinished; to go on with it: "
+        "python -m recipes.train --resume runs/train/2026-01-31_12-00-00"
+    )
+    assert len(list((tmp_path / "runs" / "train").iterdir())) == 2
+
+
+def test_two_processes_do_not_go_on_with_the_same_training(stages, tmp_path, capsys):
+    output = tmp_path / "run"
+    output.mkdir()
+    options = {"drex": [], "pd_morl": [], "mo_ppo": [], "without_mo_ppo": True, "episodes": 1}
+    Record(output, options).save()
+    with lock(output):
+        assert train("--resume", output) == 2
+    assert f"{output} is being trained by another process." in capsys.readouterr().err
+    assert train("--resume", output, "--drex", "seed=1") == 2
+    assert "give no others" in capsys.readouterr().err
+    assert train("--resume", output) == 0
+    assert [name for name, _ in stages] == ["D-REX", "PD-MORL", "evaluation"]

@@ -1,0 +1,449 @@
+"""The command line of a recipe: what is refused, how it ends, and what it leaves behind."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import os
+import signal
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+TOY = '''"""Toy: counts.
+
+More about it.
+"""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from recipes.training import command
+from recipes.training.fields import Allows, Count, IsPath, RunFolder, Section
+
+
+class Inner(Section):
+    size: Count = Field(description="Size of it, metres.")
+    names: list[str] | None = Field(None, description="Names of it.")
+
+
+class Config(Section):
+    steps: Count = Field(description="Steps to take.")
+    source: Annotated[str, IsPath(), Allows("a file")] | None = Field(description="File to read.")
+    resume: RunFolder | None = Field(description="Run to go on from.")
+    inner: Inner
+
+
+@command.recipe("toy", Config)
+def main(cfg):
+    act(cfg)
+
+
+def act(cfg):
+    pass
+'''
+YAML = """
+steps: 3
+source: null
+resume: null
+inner:
+  size: 1
+hydra:
+  run:
+    dir: ${new_run:runs/toy}
+  sweep:
+    dir: ${new_run:runs/toy}
+    subdir: ${hydra.job.num}
+"""
+
+
+@pytest.fixture
+def toy(tmp_path, monkeypatch) -> ModuleType:
+    """A recipe, in a folder with a name that Hydra's grammar cannot read."""
+    folder = tmp_path / "Käfer (1), a=b"
+    (folder / "preset").mkdir(parents=True)
+    (folder / "preset" / "large.yaml").write_text("# @package _global_\nsteps: 9\n")
+    (folder / "toy.yaml").write_text(YAML)
+    (folder / "toy.py").write_text(TOY)
+    spec = importlib.util.spec_from_file_location("toy", folder / "toy.py")
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "toy", module)
+    spec.loader.exec_module(module)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
+    return module
+
+
+def run(toy: ModuleType, *arguments: str) -> int:
+    """Its exit code."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["toy.py", *arguments])
+        try:
+            toy.main()
+        except SystemExit as stop:
+            return stop.code
+    return 0
+
+
+def written(tmp_path: Path) -> list[str]:
+    """What a command has left, but for the recipe and the folder that runs stand in."""
+    return sorted(
+        str(path.relative_to(tmp_path))
+        for path in tmp_path.rglob("*")
+        if not path.is_relative_to(tmp_path / "Käfer (1), a=b") and path.is_file()
+    )
+
+
+def only_line(capsys) -> str:
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    (line,) = printed.err.splitlines()
+    return line
+
+
+# --- where it runs
+
+
+def test_every_run_has_a_folder_of_its_own(toy, tmp_path, capsys):
+    assert [run(toy) for _ in range(3)] == [0, 0, 0]
+    folders = list((tmp_path / "runs" / "toy").iterdir())
+    assert len(folders) == 3
+    assert all((folder / ".hydra" / "config.yaml").is_file() for folder in folders)
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "name", ["a b", "ä", "a=b", "a,b", "a(b)", "a'b", 'a"b', "a[b]", "1e3", "a\\b", "a:b", "true"]
+)
+def test_any_path_works(toy, name, tmp_path):
+    (tmp_path / name).write_text("")
+    seen = []
+    toy.act = lambda cfg: seen.append(cfg.source)
+    assert run(toy, f"source={name}", f"hydra.run.dir=out/{name}/run") == 0
+    assert seen == [name]
+    assert (tmp_path / "out" / name / "run" / ".hydra").is_dir()
+
+
+@pytest.mark.parametrize("given", ["'a b'", '"a b"'])
+def test_what_is_quoted_stays_quoted(toy, given):
+    seen = []
+    toy.act = lambda cfg: seen.append(cfg.source)
+    assert run(toy, f"source={given}") == 0
+    assert seen == ["a b"]
+
+
+def test_a_folder_that_holds_something_is_refused(toy, tmp_path, capsys):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("mine")
+    (tmp_path / "empty").mkdir()
+    toy.act = lambda cfg: pytest.fail("it runs")
+    assert run(toy, "hydra.run.dir=full") == 2
+    line = "error: full/notes.txt exists and is not overwritten: choose another hydra.run.dir."
+    assert only_line(capsys) == line
+    assert run(toy, "hydra.run.dir=full/notes.txt") == 2
+    assert "is not overwritten" in only_line(capsys)
+    assert written(tmp_path) == ["full/notes.txt"]
+    toy.act = lambda cfg: None
+    assert run(toy, "hydra.run.dir=empty") == 0
+
+
+def test_a_run_may_go_on_in_its_own_folder(toy, tmp_path):
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    assert run(toy, "resume=run", "hydra.run.dir=run") == 0
+    assert run(toy, "resume=run", "hydra.run.dir=run") == 0
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "x").write_text("")
+    assert run(toy, "resume=run", "hydra.run.dir=other") == 2
+
+
+def test_plus_resume_is_resume(toy, tmp_path, capsys):
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    seen = []
+    toy.act = lambda cfg: seen.append(cfg.resume)
+    assert run(toy, "+resume=run") == 0
+    assert seen == ["run"]
+    assert run(toy, "+resume=nowhere") == 2
+    assert "resume=nowhere has no checkpoints" in only_line(capsys)
+
+
+def test_an_optional_field_is_given_as_any_other(toy):
+    seen = []
+    toy.act = lambda cfg: seen.append(list(cfg.inner.names))
+    assert run(toy, "inner.names=[a,b]") == 0
+    assert seen == [["a", "b"]]
+
+
+def test_a_preset_is_a_group(toy, capsys):
+    seen = []
+    toy.act = lambda cfg: seen.append(cfg.steps)
+    assert run(toy, "+preset=large") == 0
+    assert seen == [9]
+    assert run(toy, "+preset=larg") == 2
+    line = only_line(capsys)
+    assert "Could not find 'preset/larg'" in line and line.endswith("large")
+
+
+# --- what is refused
+
+
+@pytest.mark.parametrize(
+    ("argument", "line"),
+    [
+        ("steps=0", "steps must be at least 1, got 0."),
+        ("stepps=3", "there is no field stepps: did you mean steps?"),
+        ("+stepps=3", "there is no field stepps: did you mean steps?"),
+        ("size=3", "there is no field size: did you mean inner.size?"),
+        ("inner.sizes=3", "there is no field inner.sizes: did you mean inner.size?"),
+        ("inner=3", "inner must be a mapping of fields, got 3."),
+        ("~steps", "~steps: no field can be left out, null is nothing."),
+        ("steps", "'steps' is not field=value; --help lists the fields."),
+        ("steps=[1", "steps=[1 cannot be read: "),
+        ("steps=1,2", "Ambiguous value for argument 'steps=1,2'"),
+        ("--steps", "unrecognized arguments: --steps; fields are given as seed=1"),
+        ("steps=${nowhere}", "Interpolation key 'nowhere' not found"),
+        ("--config-name=other", "--config-name must be toy, got 'other'."),
+        ("--experimental-rerun=x.pickle", "--experimental-rerun would run a pickle"),
+    ],
+)
+def test_a_mistake_is_one_line_and_writes_nothing(toy, argument, line, tmp_path, capsys):
+    toy.act = lambda cfg: pytest.fail("it runs")
+    assert run(toy, argument) == 2
+    printed = only_line(capsys)
+    assert printed.startswith("error: ") and line in printed
+    assert written(tmp_path) == []
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("debug", [("--debug",), ()])
+def test_the_traceback_is_shown_to_those_who_ask(toy, debug, monkeypatch):
+    if not debug:
+        monkeypatch.setenv("HYDRA_FULL_ERROR", "1")
+
+    def act(cfg):
+        raise ValueError("no")
+
+    toy.act = act
+    with pytest.raises(ValueError, match=r"^no$"):
+        run(toy, *debug)
+    with pytest.raises(ValueError, match="steps must be at least 1"):
+        run(toy, "steps=0", *debug)
+
+
+def test_what_a_recipe_refuses_before_it_writes_leaves_no_folder(toy, tmp_path, capsys):
+    def act(cfg):
+        raise ValueError("the policy has\nother objectives")
+
+    toy.act = act
+    assert run(toy) == 2
+    assert only_line(capsys) == "error: the policy has other objectives"
+    assert list((tmp_path / "runs" / "toy").iterdir()) == []
+    (tmp_path / "mine").mkdir()
+    assert run(toy, "hydra.run.dir=mine") == 2
+    # A folder that was there stays, and can be used.
+    assert (tmp_path / "mine").is_dir() and written(tmp_path) == []
+    toy.act = lambda cfg: None
+    assert run(toy, "hydra.run.dir=mine") == 0
+
+
+def test_our_own_mistakes_keep_their_traceback(toy):
+    def act(cfg):
+        raise KeyError("a bug")
+
+    toy.act = act
+    with pytest.raises(KeyError):
+        run(toy)
+
+
+def write_and_raise(error: BaseException):
+    def act(cfg):
+        from hydra.core.hydra_config import HydraConfig
+
+        Path(HydraConfig.get().runtime.output_dir, "run.json").write_text("{}")
+        raise error
+
+    return act
+
+
+@pytest.mark.parametrize(
+    ("error", "parts"),
+    [
+        (
+            OSError(28, "No space left on device", "run/x"),
+            ["run/x: No space left", "MB are free", "free some space"],
+        ),
+        (OSError(28, "No space left on device"), ["out: No space left", "MB are free"]),
+        (RuntimeError("PytorchStreamWriter failed writing file"), ["out: No space left"]),
+        (
+            PermissionError(13, "Permission denied", "out/x"),
+            ["out/x: Permission denied: choose a folder"],
+        ),
+        (OSError(30, "Read-only file system", "out/x"), ["out/x: Read-only file system: choose"]),
+        (ValueError("actions must be finite"), ["actions must be finite; --debug shows where"]),
+    ],
+)
+def test_what_fails_while_it_runs_is_one_line_and_keeps_what_is_written(
+    toy, error, parts, tmp_path, capsys
+):
+    toy.act = write_and_raise(error)
+    assert run(toy, "hydra.run.dir=out") == 1
+    line = only_line(capsys)
+    assert all(part in line for part in parts), line
+    assert "out/run.json" in written(tmp_path)
+
+
+def test_a_folder_that_vanishes_is_named(toy, tmp_path, capsys):
+    import shutil
+
+    def act(cfg):
+        for _ in toy.command.until_stopped(range(cfg.steps)):
+            shutil.rmtree(tmp_path / "out", ignore_errors=True)
+            (tmp_path / "out" / "scalars.csv").write_text("")
+
+    toy.act = act
+    assert run(toy, "hydra.run.dir=out") == 1
+    assert "out/scalars.csv: the run folder out has vanished" in only_line(capsys)
+
+
+# --- several runs at once
+
+
+def test_a_multirun_checks_all_its_jobs_before_the_first(toy, tmp_path, capsys):
+    seen = []
+    toy.act = lambda cfg: seen.append(cfg.steps)
+    assert run(toy, "--multirun", "steps=1,2", "inner.size=3") == 0
+    assert seen == [1, 2]
+    (folder,) = (tmp_path / "runs" / "toy").iterdir()
+    assert sorted(path.name for path in folder.iterdir() if path.is_dir()) == ["0", "1"]
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert [line.split(" ->")[0] for line in printed.out.splitlines()] == [
+        f"--- job {number}: steps={number + 1} inner.size=3" for number in range(2)
+    ]
+    assert run(toy, "-m", "steps=1,0") == 2
+    assert only_line(capsys) == "error: steps must be at least 1, got 0."
+    assert len(list((tmp_path / "runs" / "toy").iterdir())) == 1
+
+
+# --- how it is stopped
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_training_finishes_its_step_and_says_how_to_go_on(toy, number, code, tmp_path, capsys):
+    steps, before = [], [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
+
+    def act(cfg):
+        for step in toy.command.until_stopped(range(cfg.steps)):
+            if step == 1:
+                os.kill(os.getpid(), number)
+            steps.append(step)
+        assert toy.command.stop_requested()
+        (tmp_path / "my run" / "checkpoints" / "2").mkdir(parents=True)
+        raise toy.command.Stopped(f"after {len(steps)} steps")
+
+    toy.act = act
+    assert run(toy, "steps=100", "hydra.run.dir=my run") == code
+    assert steps == [0, 1]
+    assert only_line(capsys) == (
+        "stopped after 2 steps; go on with: python -m toy steps=100 'resume=my run'"
+    )
+    assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_ctrl_c_before_the_first_step_ends_at_once_and_leaves_no_folder(toy, tmp_path, capsys):
+    def act(cfg):
+        os.kill(os.getpid(), signal.SIGINT)
+        pytest.fail("it goes on")
+
+    toy.act = act
+    assert run(toy) == 130
+    assert only_line(capsys) == "stopped before anything was done"
+    assert list((tmp_path / "runs" / "toy").iterdir()) == []
+
+
+@pytest.mark.parametrize(("again", "steps"), [(signal.SIGINT, 0), (signal.SIGTERM, 1)])
+def test_a_second_ctrl_c_ends_at_once_and_a_second_sigterm_does_not(toy, again, steps, capsys):
+    done = []
+
+    def act(cfg):
+        for _ in toy.command.until_stopped(range(cfg.steps)):
+            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), again)
+            done.append(1)
+        raise toy.command.Stopped("after a step")
+
+    toy.act = act
+    assert run(toy) in (130, 143)
+    assert len(done) == steps
+    assert only_line(capsys).startswith("stopped after" if steps else "ended at once")
+
+
+def test_writing_a_file_is_not_disturbed(toy, capsys):
+    done = []
+
+    def act(cfg):
+        with toy.command.undisturbed():
+            os.kill(os.getpid(), signal.SIGTERM)
+            done.append("written")
+        pytest.fail("it goes on")
+
+    toy.act = act
+    assert run(toy) == 143
+    assert done == ["written"]
+    assert only_line(capsys).startswith("ended at once; what is saved is in runs/toy/")
+
+
+def test_a_request_of_the_last_command_is_forgotten(toy):
+    def act(cfg):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    toy.act = act
+    assert run(toy) == 130
+    counted = []
+    toy.act = lambda cfg: counted.extend(toy.command.until_stopped(range(cfg.steps)))
+    assert run(toy) == 0
+    assert counted == [0, 1, 2]
+
+
+# --- what it prints
+
+
+def test_help_lists_every_field(toy, tmp_path, capsys):
+    assert run(toy, "--help") == 0
+    text = capsys.readouterr().out
+    assert "Toy: counts." in text and "More about it" not in text
+    for name, default, sentence, allowed in (
+        ("steps", "3", "Steps to take.", "a whole number at least 1"),
+        ("source", "null", "File to read.", "a file, or null"),
+        ("inner.size", "1", "Size of it, metres.", "a whole number at least 1"),
+        ("inner.names", "null", "Names of it.", "a list, each a text, or null"),
+    ):
+        assert f"  {name}={default}\n      {sentence} ({allowed})\n" in text
+    assert "preset=" in text and "hydra.run.dir" in text and "--debug" in text
+    assert "python -m toy --multirun seed=0,1,2" in text
+    assert written(tmp_path) == [] and not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("what", ["job", "hydra"])
+def test_to_show_the_configuration_makes_no_folder(toy, what, tmp_path, capsys):
+    assert run(toy, "--cfg", what, "--resolve", "steps=7") == 0
+    assert ("steps: 7" if what == "job" else "runs/toy/") in capsys.readouterr().out
+    assert not (tmp_path / "runs").exists()
+
+
+def test_torchrl_notes_are_left_out_and_its_warnings_are_not(toy):
+    logger, seen = logging.getLogger("torchrl"), []
+    before = logger.level
+    toy.act = lambda cfg: seen.extend(map(logger.isEnabledFor, (logging.INFO, logging.WARNING)))
+    assert run(toy) == 0
+    assert seen == [False, True]
+    assert logger.level == before
+
+
+def test_a_recipe_takes_a_configuration_as_an_argument(toy):
+    seen = []
+    toy.act = seen.append
+    toy.main({"steps": 1})
+    assert seen == [{"steps": 1}]
