@@ -11,6 +11,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from tensordict import TensorDict, TensorDictBase
+from torch import nn
 from torchrl.envs import EnvBase
 
 from envs import NavigationEnv
@@ -93,6 +94,10 @@ def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | 
     if folder is None:
         return None
     model, card = load_reward_model(folder)
+    # Agents are drawn behind a reward model of that size: a seed gives the policy that it always gave.
+    members = model.module.members
+    sizes = [layer.out_features for layer in members[0] if isinstance(layer, nn.Linear)]
+    RewardModel(in_features=model.in_features, num_cells=sizes[:-1], num_members=len(members))
     size = model.in_features - 2 * ("action" in model.in_keys)
     check_observation(cfg, folder, size)
     return model, card
