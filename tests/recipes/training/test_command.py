@@ -7,6 +7,7 @@ import logging
 import os
 import signal
 import sys
+import warnings
 from pathlib import Path
 from types import ModuleType
 
@@ -440,6 +441,19 @@ def test_torchrl_notes_are_left_out_and_its_warnings_are_not(toy):
     assert run(toy) == 0
     assert seen == [False, True]
     assert logger.level == before
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_warnings_are_a_line_each(toy, debug, capsys, recwarn):
+    def act(cfg):
+        shown = warnings.formatwarning("much\n  more", UserWarning, "/lib/file.py", 3)
+        print(shown, end="", file=sys.stderr)
+
+    toy.act = act
+    assert run(toy, *(["--debug"] if debug else [])) == 0
+    printed = capsys.readouterr().err
+    assert printed == "warning: much more\n" or (debug and "/lib/file.py:3" in printed)
+    assert warnings.formatwarning("x", UserWarning, "/lib/file.py", 3).startswith("/lib/file.py")
 
 
 def test_a_recipe_takes_a_configuration_as_an_argument(toy):

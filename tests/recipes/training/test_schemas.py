@@ -14,7 +14,8 @@ from recipes.drex.schema import Config as DREX
 from recipes.mo_ppo.schema import Config as MO_PPO
 from recipes.pd_morl.schema import Config as PD_MORL
 from recipes.scalarized.schema import SACConfig, TD3Config
-from recipes.training.validation import ConfigurationError, leaves, validate
+from recipes.training.allowed import leaves
+from recipes.training.validation import ConfigurationError, validate
 
 ROOT = Path(recipes.__file__).parent
 RECIPES = {
