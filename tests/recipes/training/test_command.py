@@ -89,6 +89,13 @@ def run(toy: ModuleType, *arguments: str) -> int:
     return 0
 
 
+def begun(folder: Path) -> None:
+    """A run that was cut short."""
+    (folder / "checkpoints").mkdir(parents=True)
+    (folder / ".hydra").mkdir()
+    (folder / ".hydra" / "overrides.yaml").write_text("[]")
+
+
 def written(tmp_path: Path) -> list[str]:
     """What a command has left, but for the recipe and the folder that runs stand in."""
     return sorted(
@@ -152,7 +159,7 @@ def test_a_folder_that_holds_something_is_refused(toy, tmp_path, capsys):
 
 
 def test_a_run_may_go_on_in_its_own_folder(toy, tmp_path):
-    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    begun(tmp_path / "run")
     assert run(toy, "resume=run", "hydra.run.dir=run") == 0
     assert run(toy, "resume=run", "hydra.run.dir=run") == 0
     (tmp_path / "other").mkdir()
@@ -161,13 +168,13 @@ def test_a_run_may_go_on_in_its_own_folder(toy, tmp_path):
 
 
 def test_plus_resume_is_resume(toy, tmp_path, capsys):
-    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    begun(tmp_path / "run")
     seen = []
     toy.act = lambda cfg: seen.append(cfg.resume)
     assert run(toy, "+resume=run") == 0
     assert seen == ["run"]
     assert run(toy, "+resume=nowhere") == 2
-    assert "resume=nowhere has no checkpoints" in only_line(capsys)
+    assert only_line(capsys).startswith("error: resume=nowhere ")
 
 
 def test_an_optional_field_is_given_as_any_other(toy):
@@ -347,9 +354,9 @@ def test_a_training_finishes_its_step_and_says_how_to_go_on(toy, number, code, t
     toy.act = act
     assert run(toy, "steps=100", "hydra.run.dir=my run") == code
     assert steps == [0, 1]
-    assert only_line(capsys) == (
-        "stopped after 2 steps; go on with: python -m toy steps=100 'resume=my run'"
-    )
+    line = only_line(capsys)
+    assert line.startswith("stopped after 2 steps; go on with: python -m toy ")
+    assert line.endswith(" 'resume=my run'")
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
 
 
@@ -393,7 +400,7 @@ def test_writing_a_file_is_not_disturbed(toy, capsys):
     toy.act = act
     assert run(toy) == 143
     assert done == ["written"]
-    assert only_line(capsys).startswith("ended at once; what is saved is in runs/toy/")
+    assert only_line(capsys).startswith("ended at once; ")
 
 
 def test_a_request_of_the_last_command_is_forgotten(toy):
