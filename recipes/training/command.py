@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
-import logging
 import os
 import shlex
 import sys
@@ -31,7 +30,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel
 
-from . import run_folder, stopping
+from . import quiet, run_folder, stopping
 from .command_help import help_text
 from .overrides import jobs, prepared, resumed
 from .stopping import Stopped, stop_requested, undisturbed, until_stopped
@@ -122,9 +121,10 @@ class _Command:
         """The run folder, before this command."""
         self.was_empty = True
         self.overrides: list[str] = []
+        self.debug = False
 
     def run(self, arguments: Sequence[str]) -> None:
-        debug = "--debug" in arguments or os.environ.get("HYDRA_FULL_ERROR") == "1"
+        self.debug = "--debug" in arguments or os.environ.get("HYDRA_FULL_ERROR") == "1"
         arguments = [one for one in arguments if one != "--debug"]
         _new_runs.clear()
         with stopping.handled():
@@ -135,14 +135,14 @@ class _Command:
                 raise
             except BaseException as error:
                 failure = error.error if isinstance(error, _InJob) else error
-            self._fail(failure, debug=debug)
+            self._fail(failure)
 
-    def _fail(self, failure: BaseException, *, debug: bool) -> NoReturn:
+    def _fail(self, failure: BaseException) -> NoReturn:
         line, code = error_line(failure, self.run_dir, go_on=self._go_on())
         if self.run_dir is not None and self.was_empty:
             run_folder.remove_if_refused(self.run_dir, keep=self.was_there)
         is_stop = isinstance(failure, Stopped | KeyboardInterrupt)
-        if line is None or (debug and not is_stop):
+        if line is None or (self.debug and not is_stop):
             raise failure
         for bar in list(getattr(tqdm.tqdm, "_instances", ())):
             bar.close()
@@ -220,7 +220,7 @@ class _Command:
                 self.run_dir = Path(now.runtime.output_dir)
                 print(f"--- job {now.job.num}: {' '.join(now.overrides.task)} -> {self.run_dir}")
             try:
-                with _quiet_torchrl():
+                with quiet.torchrl(), quiet.plain_warnings(keep=self.debug):
                     self.main(cfg)
             except Exception as error:
                 raise _InJob(error) from None
@@ -249,18 +249,6 @@ def _register_new_run(make: Callable[[Path], Path]) -> None:
         return str(_new_runs[base])
 
     OmegaConf.register_new_resolver("new_run", new_run, replace=True)
-
-
-@contextlib.contextmanager
-def _quiet_torchrl() -> Iterator[None]:
-    """What TorchRL notes for its developers is no news to those who train; its warnings are."""
-    logger = logging.getLogger("torchrl")
-    level = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 def _refuse_arguments(message: str) -> NoReturn:

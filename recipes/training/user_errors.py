@@ -33,7 +33,8 @@ def error_line(
         go_on: the command that goes on where this one was, if there is one.
     """
     begun = stopping.has_begun() or (run_dir is not None and _holds_more_than_hydra(run_dir))
-    further = f"; go on with: {go_on}" if go_on else ""
+    # Where nothing has been done there is nothing to go on with.
+    further = f"; go on with: {go_on}" if go_on and begun else ""
     kept = further or (f"; what is saved is in {run_dir}" if begun else "")
     if isinstance(error, stopping.Stopped):
         return f"stopped {error.done}{kept}", stopping.exit_code()

@@ -70,7 +70,6 @@ def test_paths_of_fields_are_read_as_they_were_given(path, field, tmp_path, monk
         ("demonstrations.dataset='a b'", "demonstrations.dataset='a b'"),
         (r"demonstrations.dataset=a\,b", r"demonstrations.dataset=a\,b"),
         ("env.robot={name: x}", "env.robot={name: x}"),
-        ("env.objectives=[core]", "++env.objectives=[core]"),
         ("env.faults.latency=1", "++env.faults.latency=1"),
         ("preset=quick", "preset=quick"),
         ("hydra.verbose=true", "hydra.verbose=true"),

@@ -14,7 +14,8 @@ from recipes.drex.schema import Config as DREX
 from recipes.mo_ppo.schema import Config as MO_PPO
 from recipes.pd_morl.schema import Config as PD_MORL
 from recipes.scalarized.schema import SACConfig, TD3Config
-from recipes.training.validation import ConfigurationError, leaves, validate
+from recipes.training.allowed import leaves
+from recipes.training.validation import ConfigurationError, validate
 
 ROOT = Path(recipes.__file__).parent
 RECIPES = {
@@ -48,7 +49,7 @@ def change(config: dict, changes: dict[str, object]) -> dict:
 def flat(config: dict, prefix: str = "") -> set[str]:
     names = set()
     for name, value in config.items():
-        if isinstance(value, dict):
+        if isinstance(value, dict) and value:
             names |= flat(value, f"{prefix}{name}.")
         else:
             names.add(prefix + name)
@@ -117,7 +118,7 @@ OFF_POLICY = [
     ("env.faults.latency", -1, ""),
     ("env.faults", 3, "mapping"),
     ("env.objectives", [], "list of names"),
-    ("env.objectives", ["core", "core"], "repeat"),
+    ("env.objectives", ["core", "core"], ""),
     ("demonstrations.reward_model", "nowhere", "is a folder with"),
     ("demonstrations.dataset", "nowhere", "needs demonstrations.reward_model"),
     ("demonstrations.prefill", 0, "at least 1"),
@@ -204,7 +205,7 @@ BAD = {
     "mo_ppo": [
         ("policy", "nowhere", "is a folder with policy.safetensors and policy.json"),
         ("policy", 3, "a folder"),
-        ("resume", "nowhere", "folder of a run that has saved one"),
+        ("resume", "nowhere", "it must be the folder of"),
         ("seed", -1, "at least 0"),
         ("device", "tpu", "cpu or cuda"),
         ("compute.torch_threads", 0, "at least 1"),
