@@ -49,8 +49,12 @@ class Task:
     """For the cards of its policies."""
 
 
-def make_task(cfg: DictConfig) -> Task:
+def make_task(cfg: DictConfig, run_dir: Path | None = None) -> Task:
     """Environments, preferences and demonstrations as in PD-MORL; nothing is written yet.
+
+    Args:
+        cfg: the configuration.
+        run_dir: where the training will write; Hydra's output folder if ``None``.
 
     Raises:
         FileExistsError: if the run folder holds policies.
@@ -58,7 +62,8 @@ def make_task(cfg: DictConfig) -> Task:
     """
     torch.set_num_threads(cfg.compute.torch_threads)
     torch.manual_seed(cfg.seed)
-    run_dir = Path(HydraConfig.get().runtime.output_dir)
+    if run_dir is None:
+        run_dir = Path(HydraConfig.get().runtime.output_dir)
     if cfg.get("resume") is None:
         check_run_dir(run_dir)
     device = torch.device(cfg.device)
