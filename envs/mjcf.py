@@ -115,17 +115,17 @@ _WORLD = """
            diffuse="0.35 0.35 0.35" specular="0 0 0" castshadow="false"/>{robot}
     <body name="human" mocap="true">
       <geom name="human" class="obstacle" type="cylinder" pos="0 0 {human_half}"
-            size="{human_radius} {human_half}" rgba="0.84 0.37 0.0 1"/>
-      <geom class="decoration" type="sphere" pos="0 0 {human_height}" size="0.13"
-            rgba="0.95 0.78 0.65 1"/>
+            size="{human_radius} {human_half}" rgba="0.10 0.10 0.10 1"/>
+      <geom class="decoration" type="sphere" pos="0 0 {human_height}" size="0.18"
+            rgba="1 1 1 1"/>
       <geom class="decoration" type="capsule" fromto="0.05 0 {human_height} 0.38 0 {human_height}"
-            size="0.05" rgba="0.25 0.10 0.0 1"/>
+            size="0.04" rgba="0.10 0.10 0.10 1"/>
     </body>
     <body name="goal" mocap="true">
       <geom class="decoration" type="cylinder" pos="0 0 0.005" size="{goal_radius} 0.005"
-            rgba="0.0 0.62 0.45 0.6"/>
+            rgba="0.30 0.30 0.30 0.35"/>
       <geom class="decoration" type="cylinder" pos="0 0 0.3" size="0.03 0.3"
-            rgba="0.0 0.62 0.45 1"/>
+            rgba="0.10 0.10 0.10 1"/>
     </body>{boxes}
   </worldbody>{tendons}
   <actuator>{actuators}
@@ -139,9 +139,9 @@ _BOX = """
             rgba="0.60 0.60 0.62 1"/>
     </body>"""
 
-# A bright bar on top of the robot points where it is heading.
+# A white bar on top of the robot points where it is heading. Colours are left to preferences.
 _DECORATION = """<geom class="decoration" type="capsule" size="{bar}"
-            fromto="{tail} 0 {top} {nose} 0 {top}" rgba="1.0 0.80 0.1 1"/>"""
+            fromto="{tail} 0 {top} {nose} 0 {top}" rgba="1 1 1 1"/>"""
 
 
 def time_step(drive: Drive) -> float:

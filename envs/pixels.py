@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import torch
 from mujoco.batch import Batch
+from numpy.typing import ArrayLike
 from torch import Tensor
 from torchrl.data import Bounded
 
@@ -76,6 +77,7 @@ class PixelsMixin:
         ids: Sequence[int] | Tensor | None = None,
         preference: Tensor | Sequence | None = None,
         names: Sequence[str] | None = None,
+        colors: ArrayLike | None = None,
         trails: Sequence[tuple[Any, Sequence[float]]] = (),
     ) -> Tensor:
         """Draw the current state.
@@ -87,6 +89,7 @@ class PixelsMixin:
             ids: the ``n`` environments to draw; defaults to all.
             preference: ``[n, T]`` or ``[T]``, drawn as a bar chart.
             names: of the ``T`` objectives of the preference.
+            colors: of its bars, ``[T, 3]``, red, green and blue from 0 to 1.
             trails: paths on the floor, as pairs of positions ``[T, 2]`` (metres; rows that are not
                 finite are left out) and a colour (red, green and blue from 0 to 1). They are drawn
                 in every picture: give ``ids`` to draw different trails for each environment.
@@ -115,7 +118,7 @@ class PixelsMixin:
             view = self._camera(camera, row, width / height)
             frame[...] = self._renderer.render(row, view, width, height, trails)
         if preference is not None:
-            frames = draw_preference(frames, torch.as_tensor(preference), names)
+            frames = draw_preference(frames, torch.as_tensor(preference), names, colors=colors)
         return frames.to(self.device) if self.device is not None else frames
 
     def _observe_pixels(self, ids: Tensor | None) -> Tensor:

@@ -25,12 +25,29 @@ def top_view(points: Tensor, boxes: Tensor, robot: Tensor, aspect: float) -> Cam
         robot: where the robot is now, ``[2]``.
         aspect: width of the picture over its height.
     """
+    return scene_view(torch.cat((points, robot[None])), boxes, aspect)
+
+
+def scene_view(points: Tensor, boxes: Tensor, aspect: float) -> Camera:
+    """From above, everything that is given; for a film, all paths of it.
+
+    Args:
+        points: as of :func:`top_view`.
+        boxes: as of :func:`top_view`.
+        aspect: width of the picture over its height.
+
+    Examples:
+        >>> points, boxes = torch.tensor([[0.0, 0.0], [9.0, 1.0]]), torch.zeros(0, 5)
+        >>> view = scene_view(points, boxes, aspect=2.0)
+        >>> view.lookat, round(view.height, 6)  # 9 m and a margin of 0.6 m on both sides
+        ((4.5, 0.5, 0.0), 5.1)
+    """
     radius = boxes[:, 3:].norm(dim=-1, keepdim=True)
     radius = radius.masked_fill(radius > _WALL, -math.inf)
     low = torch.cat((points, boxes[:, :2] - radius)).amin(0)
     high = torch.cat((points, boxes[:, :2] + radius)).amax(0)
-    left, bottom = (torch.minimum(low, robot) - _MARGIN).tolist()
-    right, top = (torch.maximum(high, robot) + _MARGIN).tolist()
+    left, bottom = (low - _MARGIN).tolist()
+    right, top = (high + _MARGIN).tolist()
     centre = ((left + right) / 2, (bottom + top) / 2, 0.0)
     return Camera(centre, height=max(top - bottom, (right - left) / aspect))
 

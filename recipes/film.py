@@ -13,10 +13,12 @@ from pathlib import Path
 import torch
 
 from envs import ROBOTS, SCENES
+from envs.rendering import gl_context_type
 from torchrl_morl.deploy import load_policy
 
+from .demo.arguments import LARGEST_SEED, check_new_file, whole_number
 from .demo.film import film
-from .evaluation.setting import choose
+from .evaluation.setting import choose, demonstrator
 from .evaluation.sweep import SHIPPED_POLICY
 
 
@@ -30,27 +32,37 @@ def main() -> None:
     parser.add_argument(
         "--robot", help=f"{', '.join(ROBOTS)}, or a .yaml file (default: that of the training)"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the scene")
+    parser.add_argument(
+        "--seed",
+        type=whole_number(0, LARGEST_SEED),
+        default=0,
+        metavar="N",
+        help="of the scene",
+    )
     parser.add_argument("--output", type=Path, required=True, help="file to write, .gif or .mp4")
     args = parser.parse_args()
     if args.output.suffix not in (".gif", ".mp4"):
         parser.error(f"--output must end in .gif or .mp4, got {args.output.name!r}.")
-    if args.output.exists():
-        parser.error(f"{args.output} exists and is not overwritten: choose another name.")
     torch.set_num_threads(1)
     try:
+        check_new_file(args.output)
         policy = load_policy(args.policy)
         setting = choose(policy.card, scene=args.scene, robot=args.robot)
+        gl_context_type()  # says what to install
+    except (OSError, RuntimeError, ValueError) as error:
+        parser.error(str(error))
+    try:
+        movie = film(
+            args.output,
+            policy.actor,
+            policy.preference_space,
+            policy.preference_space.corners(),
+            seed=args.seed,
+            demonstrator=demonstrator(policy.card, setting.robot),
+            **setting.arguments,
+        )
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    movie = film(
-        args.output,
-        policy.actor,
-        policy.preference_space,
-        policy.preference_space.corners(),
-        seed=args.seed,
-        **setting.arguments,
-    )
     print(f"film: {movie}")
 
 

@@ -1,7 +1,8 @@
 """The main job: watch one policy change its behaviour as the preference changes.
 
 ``make demo`` runs the shipped policy over a sweep of preferences, in one fixed scene and in 100
-random ones, prints a table and writes pictures and a film to ``runs/demo``.
+random ones, prints a table and writes pictures and a film to ``runs/demo``, or to ``runs/demo-2``
+where that exists.
 """
 
 from __future__ import annotations
@@ -13,12 +14,14 @@ from pathlib import Path
 import torch
 import tqdm
 
+from envs.rendering import gl_context_type
 from recipes.evaluation.setting import choose, demonstrator
 from recipes.evaluation.sweep import SHIPPED_POLICY, edge, sweep
 from recipes.objectives import known
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import steerability
 
+from .arguments import LARGEST_SEED, claim_folder, whole_number
 from .figures import Row, sweep_figure, switch_figure
 from .film import film
 from .switch import switch
@@ -28,18 +31,34 @@ def main() -> None:
     """Run the demo; ``--help`` lists the options."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
-    parser.add_argument("--output", type=Path, default=Path("runs/demo"), help="folder to write")
-    parser.add_argument("--episodes", type=int, default=100, help="random scenes")
-    parser.add_argument("--steps", type=int, default=11, help="preferences in the sweep")
-    parser.add_argument("--seed", type=int, default=7, help="of the random scenes")
+    parser.add_argument(
+        "--output", type=Path, help="new folder (default: runs/demo, else runs/demo-2 and so on)"
+    )
+    for name, default, numbers, text in (
+        ("--episodes", 100, whole_number(1, 10_000), "random scenes"),
+        ("--steps", 11, whole_number(2, 1_000), "preferences in a sweep"),
+        ("--seed", 7, whole_number(0, LARGEST_SEED), "of the random scenes"),
+    ):
+        parser.add_argument(name, type=numbers, default=default, metavar="N", help=text)
     args = parser.parse_args()
 
     torch.set_num_threads(1)
-    policy = load_policy(args.policy)
-    setting = choose(policy.card)
+    try:
+        policy = load_policy(args.policy)
+        known(policy.preference_space.tunable)
+        if policy.preference_space.num_tunable < 2:
+            raise ValueError(
+                f"{args.policy} weighs {policy.preference_space.tunable[0]} alone: a demo of preferences "
+                "needs a policy of two objectives or more."
+            )
+        setting = choose(policy.card)
+        gl_context_type()  # without it there is no film: better said now than at the end
+        output = claim_folder(args.output, Path("runs/demo"))
+    except (OSError, RuntimeError, ValueError) as error:
+        parser.error(str(error))
+    print(f"output {output}")
     shown = demonstrator(policy.card, setting.robot)
     showroom = {**setting.arguments, "scene": "showcase"}
-    args.output.mkdir(parents=True, exist_ok=True)
 
     # The rows of the paper: each trades two objectives off, the others have no weight.
     edges = policy.preference_space.pairwise_grid(args.steps).unflatten(0, (-1, args.steps))
@@ -75,7 +94,7 @@ def main() -> None:
         print(row.statistics.table())
         print(steered(row))
 
-    figure = args.output / "trajectories.png"
+    figure = output / "trajectories.png"
     sweep_figure(figure, rows, goal_radius=setting.goal_radius)
     # From the last objective to the one before it: quick, then wide.
     before, after = policy.preference_space.tunable[-1], policy.preference_space.tunable[-2:][0]
@@ -85,13 +104,13 @@ def main() -> None:
         edge(policy.preference_space, before, after, 2),
         **showroom,
     )
-    switched = args.output / "switch.png"
+    switched = output / "switch.png"
     switch_figure(
         switched,
         change.paths,
         change.actions,
         rows[0].showcase.scenes[0],
-        names=(before, after, f"{before}, then {after}"),
+        names=(before, after),
         switch_step=change.switch_step,
         goal_radius=setting.goal_radius,
     )
@@ -104,10 +123,11 @@ def main() -> None:
             f"{change.separation:.2f} m off the old path"
         )
     movie = film(
-        args.output / "sweep.gif",
+        output / "sweep.gif",
         policy.actor,
         policy.preference_space,
         policy.preference_space.corners(),
+        demonstrator=shown,
         **showroom,
     )
     print(f"Pictures: {figure}, {switched}; film: {movie}")

@@ -29,7 +29,7 @@ from .quantitative import STYLE
 _WIDTH, _HEIGHT = 7.16, 8.8  # of two columns, and of a page with room for a caption, inches
 _MARGIN = 0.4
 _NARROWEST = 3.4  # metres, so that titles fit
-_HUMAN = "#d55e00"
+_WALK = {"color": "0.35", "linestyle": ":", "linewidth": 1.2}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -197,7 +197,7 @@ def _draw(ax: plt.Axes, scene: dict[str, NDArray], rows: slice, cmap: Colormap) 
     longest = rows.start + int(scene["mask"][rows].sum(1).argmax())
     walked = scene["human"][longest][scene["mask"][longest]]
     if np.ptp(walked, axis=0).max() > 0.1:
-        ax.plot(*walked.T, color=_HUMAN, linestyle=":", linewidth=1.2, zorder=2)
+        ax.plot(*walked.T, **_WALK, zorder=2)
     values = np.linspace(0, 1, rows.stop - rows.start)
     draw_paths(ax, scene["position"][rows], scene["mask"][rows], values, cmap=cmap, linewidth=0.9)
     ax.plot(*scene["demonstration"].T, **_DEMONSTRATION, zorder=3.5)
@@ -217,7 +217,7 @@ def _legend() -> list[Line2D]:
     dot = {"linestyle": "", "markeredgecolor": "black", "markersize": 5}
     return [
         Line2D([], [], **_DEMONSTRATION, label="demonstration"),
-        Line2D([], [], marker="o", color=_HUMAN, **dot, label="human, when nearest"),
-        Line2D([], [], color=_HUMAN, linestyle=":", linewidth=1.2, label="way of the human"),
-        Line2D([], [], marker="*", color="#0072b2", linestyle="", markersize=6, label="goal"),
+        Line2D([], [], marker="o", color="white", **dot, label="human, when nearest"),
+        Line2D([], [], **_WALK, label="way of the human"),
+        Line2D([], [], marker="*", color="black", linestyle="", markersize=6, label="goal"),
     ]

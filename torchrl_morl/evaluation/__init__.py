@@ -11,7 +11,7 @@ from .intervals import (
 )
 from .metrics import path_length, spl, stl, time_to_goal
 from .motion import cumulative_heading_change, mean_jerk, path_irregularity, stalled_time
-from .overlay import draw_preference
+from .overlay import draw_preference, preference_strip
 from .plots import PREFERENCE_COLORS, draw_paths, draw_scene
 from .proximity import (
     min_clearance,
@@ -52,6 +52,7 @@ __all__ = [
     "path_irregularity",
     "path_length",
     "personal_space_compliance",
+    "preference_strip",
     "resample_path",
     "rollout_preferences",
     "shortest_path_length",

@@ -32,6 +32,8 @@ def draw_scene(
 ) -> None:
     """Draw start, goal, human and boxes seen from above.
 
+    They are black, white and grey: colours are left to preferences.
+
     Args:
         ax: axes in metres; their aspect is set to equal.
 
@@ -55,7 +57,16 @@ def draw_scene(
         rotation = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
         ax.add_patch(Polygon(corners @ rotation + [x, y], facecolor="0.55", edgecolor="0.35"))
     x, y, heading = np.asarray(human)[:3]
-    ax.add_patch(Circle((x, y), human_radius, facecolor="#d55e00", edgecolor="black", zorder=4))
+    ax.add_patch(
+        Circle(
+            (x, y),
+            human_radius,
+            facecolor="white",
+            edgecolor="black",
+            linewidth=1.8 * marker_scale,
+            zorder=4,
+        )
+    )
     nose = 1.9 * human_radius * np.array([np.cos(heading), np.sin(heading)])
     ax.annotate(
         "",
@@ -72,10 +83,8 @@ def draw_scene(
         zorder=5,
     )
     gx, gy = np.asarray(goal)[:2]
-    ax.add_patch(
-        Circle((gx, gy), goal_radius, facecolor="none", edgecolor="#0072b2", linestyle="--")
-    )
-    ax.plot(gx, gy, marker="*", markersize=12 * marker_scale, color="#0072b2", zorder=5)
+    ax.add_patch(Circle((gx, gy), goal_radius, facecolor="none", edgecolor="0.3", linestyle="--"))
+    ax.plot(gx, gy, marker="*", markersize=12 * marker_scale, color="black", zorder=5)
     sx, sy = np.asarray(start)[:2]
     ax.plot(sx, sy, marker="o", markersize=7 * marker_scale, color="black", zorder=5)
     ax.set_aspect("equal")

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+from numpy.typing import ArrayLike
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs.transforms import Transform
 
-from torchrl_morl.evaluation.overlay import draw_preference
+from torchrl_morl.evaluation.overlay import bar_colors, draw_preference
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.representation import describe
 from torchrl_morl.transforms.stored import apart_from_storage
@@ -34,8 +35,11 @@ class PreferenceOverlay(Transform):
         in_keys: pictures, ``uint8 [*B, H, W, 3]``.
         out_keys: where to write; defaults to ``in_keys``.
         preference_key: the preference, ``[*B, T]``.
+        colors: of the bars, ``[T, 3]``, red, green and blue from 0 to 1; defaults to colour-blind
+            safe ones.
 
     Raises:
+        ValueError: for colours of a wrong shape or range.
         KeyError: in an environment without preferences.
 
     Example:
@@ -60,11 +64,14 @@ class PreferenceOverlay(Transform):
         in_keys: Sequence[NestedKey] = ("pixels",),
         out_keys: Sequence[NestedKey] | None = None,
         preference_key: NestedKey = "preference",
+        colors: ArrayLike | None = None,
     ) -> None:
         in_keys = [unravel_key(key) for key in in_keys]
         super().__init__(in_keys=in_keys, out_keys=list(in_keys if out_keys is None else out_keys))
         self.preference_space = preference_space
         self.preference_key = unravel_key(preference_key)
+        bar_colors(colors, preference_space.tunable)  # refused here, not at the first picture
+        self.colors = colors
         self._last: dict[NestedKey, Tensor] = {}
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -111,11 +118,10 @@ class PreferenceOverlay(Transform):
                 f"PreferenceOverlay found no {self.preference_key!r}: place it after the "
                 "PreferenceSampler."
             )
+        names = self.preference_space.tunable
         for in_key, out_key in zip(self.in_keys, self.out_keys, strict=True):
-            target.set(
-                out_key,
-                draw_preference(target.get(in_key), preference, self.preference_space.tunable),
-            )
+            frames = target.get(in_key)
+            target.set(out_key, draw_preference(frames, preference, names, colors=self.colors))
         return target
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -52,11 +52,16 @@ def test_sweep_figure_of_three_objectives(tmp_path, monkeypatch):
     path = tmp_path / "sweep.png"
     sweep_figure(path, rows, goal_radius=0.3)
     assert is_png(path)
-    shown = [label.split(" / ")[0] for label in labels if "/" in label and "weight" not in label]
+    shown = [
+        label.replace("\n", " ").split(" / ")[0]
+        for label in labels
+        if "/" in label and "weight" not in label
+    ]
     shown = [label for label in shown if label not in ("x", "y")]
     human, time = "smallest distance to the human", "time to the goal"
     frechet = "Frechet distance to the demonstration"
-    assert shown == [human, time, frechet, time, human, frechet]
+    # A column for every sweep, its first objective above its second.
+    assert shown == [time, time, frechet, human, frechet, human]
 
 
 def test_figures_of_a_policy_that_never_arrives(tmp_path):
@@ -94,7 +99,7 @@ def test_switch_figure(steps, tmp_path):
         change.paths,
         change.actions,
         scene,
-        names=("efficiency", "distance", "both"),
+        names=("efficiency", "distance"),
         switch_step=change.switch_step,
         goal_radius=0.3,
     )
@@ -112,5 +117,6 @@ def test_film_has_every_third_step_of_every_preference(tmp_path):
         size=(160, 90),
     )
     frames = imageio.mimread(path)
-    assert len(frames) == 2 * 4  # steps 3, 6, 9 and 12
-    assert all(frame.shape[:2] == (90, 160) for frame in frames)
+    assert len(frames) == 2 * 6  # steps 0, 3, 6, 9, 12 and the last one, 14
+    # Above and below the picture are bars and a legend.
+    assert all(frame.shape[0] > 120 and frame.shape[1] == 160 for frame in frames)

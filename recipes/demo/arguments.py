@@ -1,0 +1,92 @@
+"""Checks of what the command line of the demo and of the film was given, before anything is written."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+LARGEST_SEED = 2**32 - 1
+
+
+def whole_number(low: int, high: int) -> Callable[[str], int]:
+    """A type for :mod:`argparse`: whole numbers from ``low`` to ``high``.
+
+    Examples:
+        >>> whole_number(2, 9)("7")
+        7
+        >>> whole_number(2, 9)("1")
+        Traceback (most recent call last):
+            ...
+        argparse.ArgumentTypeError: must be a whole number from 2 to 9, got '1'
+    """
+
+    def parse(text: str) -> int:
+        try:
+            number = int(text)
+        except ValueError:
+            number = low - 1
+        if not low <= number <= high:
+            raise argparse.ArgumentTypeError(
+                f"must be a whole number from {low} to {high:,}, got {text!r}"
+            )
+        return number
+
+    return parse
+
+
+def check_new_file(path: Path) -> None:
+    """Whether a file can be made there.
+
+    Raises:
+        ValueError: if there is something, or if its folder cannot be written.
+    """
+    if path.exists() or path.is_symlink():
+        raise ValueError(f"--output {path} exists and is not overwritten: choose another name.")
+    _check_writable(path.parent, path)
+
+
+def claim_folder(path: Path | None, default: Path) -> Path:
+    """Make the folder for the output, which is empty.
+
+    Args:
+        path: where the user wants it; a folder that is there must be empty.
+        default: without such a wish. If it exists, ``default-2`` is made, or ``default-3`` and so
+            on: two demos at the same time get two folders.
+
+    Raises:
+        ValueError: if ``path`` holds something or is a file, or if the folder cannot be written.
+    """
+    if path is not None:
+        if path.is_symlink() and not path.exists():
+            raise ValueError(f"--output {path} is a link to nothing: choose another folder.")
+        if path.exists() and not path.is_dir():
+            raise ValueError(f"--output {path} is a file: choose a folder.")
+        _check_writable(path, path)
+        if path.is_dir() and any(path.iterdir()):
+            raise ValueError(
+                f"--output {path} is not empty, and nothing is overwritten: choose another folder."
+            )
+        path.mkdir(parents=True, exist_ok=True)
+        return path
+    _check_writable(default.parent, default)
+    default.parent.mkdir(parents=True, exist_ok=True)
+    for number in itertools.count(1):
+        folder = default if number == 1 else default.with_name(f"{default.name}-{number}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        return folder
+    raise AssertionError
+
+
+def _check_writable(folder: Path, output: Path) -> None:
+    """Whether files can be made in a folder, which may have to be made itself."""
+    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    if not there.is_dir():
+        raise ValueError(f"--output {output}: {there} is not a folder: choose another place.")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise ValueError(f"--output {output}: {there} cannot be written: choose another place.")
