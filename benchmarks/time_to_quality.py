@@ -31,12 +31,8 @@ from matplotlib import pyplot
 from torchrl.collectors import Collector
 
 from recipes.training import off_policy
-from recipes.training.corners import CornerResult, demonstrated, evaluate_corners
-from recipes.training.task import (
-    load_demonstration_objective,
-    make_eval_env,
-    make_preference_space,
-)
+from recipes.training.corners import CornerResult, evaluate_corners
+from recipes.training.task import make_task
 
 from . import quality_peers
 from .workload import PD_MORL, config, run_recipe
@@ -144,17 +140,14 @@ def train_peer(log: Log, args: argparse.Namespace) -> None:
         )
     torch.set_num_threads(cfg.compute.torch_threads)
     scale = cfg.replay_buffer.reward_scale if args.reward_scale is None else args.reward_scale
-    model, demo_card = load_demonstration_objective(cfg) or (None, None)
-    preference_space = make_preference_space(with_demonstrations=model is not None)
-    eval_env = make_eval_env(cfg, preference_space, model)
-    demonstration = demonstrated(cfg, demo_card) if model else None
+    task = make_task(cfg, run_dir=Path())
+    model, demo_card = task.reward_model, task.demo_card
     budget = PEERS_MINUTES if args.minutes is None else args.minutes
     due = args.every
 
     def evaluate(steps: int) -> None:
         minutes = log.seconds[args.clock == "cpu"] / 60
-        arguments = (cfg, eval_env, peer.actor.eval(), preference_space, demonstration)
-        result = log.evaluate(steps, evaluate_corners, *arguments)
+        result = log.evaluate(steps, evaluate_corners, cfg, task, peer.actor.eval())
         if args.save is not None:
             card = {
                 "system": f"MORL-Baselines {version('morl-baselines')} {log.system}",

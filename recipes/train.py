@@ -240,28 +240,14 @@ def stage(record: Record, name: str, command: Callable[[Path], list[str]]) -> Pa
     before = record.folder_of(name)
     if before is not None and record.is_finished(name):
         return before
-    folder = _free(record.folder, _FOLDERS[name])
-    further = [] if before is None else continued(before)
-    # What it goes on from comes before the user's own: those have the last word.
-    module, *overrides = command(folder)
-    given = [module, *overrides[:1], *further, *overrides[1:]]
+    folder = record.folder / _FOLDERS[name]
+    if (folder / ".hydra" / "overrides.yaml").is_file():
+        # It was cut short: it goes on in its folder, as it was configured.
+        given = [command(folder)[0], f"resume={quoted(folder)}"]
+    else:
+        given = command(folder)
     record.begin(name, given, folder.name)
     record.finish(name, run(name, given))
-    return folder
-
-
-def continued(before: Path) -> list[str]:
-    """Overrides with which a recipe goes on from a run that was cut short; none if it starts anew."""
-    if not any((before / "checkpoints").glob("[!.]*")):
-        return []
-    return [f"resume={quoted(before)}"]
-
-
-def _free(output: Path, name: str) -> Path:
-    """A folder for a stage: what a stage that was cut short has written stays where it is."""
-    number = 1
-    while (folder := output / (name if number == 1 else f"{name}-{number}")).exists():
-        number += 1
     return folder
 
 

@@ -27,7 +27,7 @@ TINY = (
 def config(recipe: str = "drex", overrides: tuple[str, ...] = (), **changes: object) -> DictConfig:
     """Of a recipe, with fields changed: ``style_negatives__rollouts=0``."""
     cfg = OmegaConf.load(ROOT / "recipes" / recipe / "config.yaml")
-    del cfg.hydra
+    del cfg.hydra, cfg.defaults
     cfg = OmegaConf.merge(cfg, OmegaConf.from_dotlist(list(overrides)))
     for key, value in changes.items():
         OmegaConf.update(cfg, key.replace("__", "."), value)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDict
 
 from envs.policy_env import make_policy_env
 from recipes.training.task import Task
@@ -24,5 +25,6 @@ def make_task(preference_space: PreferenceSpace, **changes: Any) -> Task:
         "reward_model": None,
         "demo_card": None,
         "demonstration": None,
+        "scenes": TensorDict(batch_size=[0]),
     }
     return Task(**fields | changes)

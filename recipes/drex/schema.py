@@ -18,6 +18,7 @@ from recipes.training.fields import (
     Positive,
     Range,
     RobotField,
+    RunFolder,
     SceneField,
     Section,
     Seed,
@@ -141,6 +142,9 @@ class Diagnostics(Section):
 class Config(Section):
     """D-REX."""
 
+    resume: RunFolder | None = Field(
+        description="Folder of a run that did not end; it goes on there, as it was configured."
+    )
     seed: Seed = Field(description="Seed of networks, scenes and noise.")
     torch_threads: int = Field(ge=1, le=1024, description="Threads that PyTorch computes with.")
     bfloat16: bool | None = Field(

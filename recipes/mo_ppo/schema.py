@@ -16,9 +16,11 @@ from recipes.training.fields import (
     Discount,
     Distribution,
     NotNegative,
+    Objectives,
     PolicyFolder,
     Positive,
     RewardModelFolder,
+    Rewards,
     RobotField,
     RunFolder,
     SceneField,
@@ -67,6 +69,12 @@ class Env(schema.Env):
     )
     max_episode_steps: Count | None = Field(
         description="Steps of 0.2 s before an episode is truncated; null is as it was trained."
+    )
+    objectives: Objectives | None = Field(
+        description="Objectives of the reward; null is as it was trained."
+    )
+    rewards: Rewards | None = Field(
+        description="Constants of the rewards that differ; null is as it was trained."
     )
     faults: schema.Faults | None = Field(
         description="Faults of sensors and actuation; null is as it was trained."
@@ -188,7 +196,7 @@ class Config(Section):
 
     policy: PolicyFolder = Field(description="Folder of the policy to start from.")
     resume: RunFolder | None = Field(
-        description="Folder of a run to go on from its last checkpoint."
+        description="Folder of a run that did not end; it goes on there, as it was configured."
     )
     seed: Seed = Field(description="Seed of networks, environments and preferences.")
     device: Device = Field(description="Where networks are trained.")

@@ -32,7 +32,7 @@ from pydantic import BaseModel
 
 from . import quiet, run_folder, stopping
 from .command_help import help_text
-from .overrides import jobs, prepared
+from .overrides import jobs, prepared, resumed
 from .stopping import Stopped, stop_requested, undisturbed, until_stopped
 from .user_errors import error_line
 from .validation import ConfigurationError, validate
@@ -156,11 +156,10 @@ class _Command:
         """The command that goes on where this one was; ``None`` where nothing is saved for it."""
         if self.run_dir is None or "resume" not in self.schema.model_fields:
             return None
-        checkpoints = self.run_dir / "checkpoints"
-        if not checkpoints.is_dir() or not any(checkpoints.glob("[!.]*")):
+        if not (self.run_dir / ".hydra").is_dir():
             return None
-        given = [one for one in self.overrides if not one.startswith(("resume=", "hydra."))]
-        return shlex.join(["python", "-m", self.module, *given, f"resume={_shown(self.run_dir)}"])
+        # The folder knows its configuration.
+        return shlex.join(["python", "-m", self.module, f"resume={_shown(self.run_dir)}"])
 
     def _run(self, arguments: Sequence[str]) -> None:
         if {"-h", "--help"} & set(arguments):
@@ -181,7 +180,9 @@ class _Command:
         shows = bool(args.cfg or args.info or args.hydra_help or args.shell_completion)
         _register_new_run(run_folder.free_name if shows else run_folder.claim)
         multirun = args.multirun or "hydra.mode=MULTIRUN" in args.overrides
-        self.overrides = prepared(args.overrides, self.schema, self.folder, multirun=multirun)
+        self.overrides = resumed(
+            prepared(args.overrides, self.schema, self.folder, multirun=multirun)
+        )
         if not shows:
             self._check(multirun=multirun)
         options = _options(args)

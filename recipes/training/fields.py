@@ -11,6 +11,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 
 from envs import get_robot, get_scene
 from envs.faults import get_faults
+from envs.objectives import check_objectives, get_rewards
+from recipes.objectives import reward_objectives
 
 
 class Section(BaseModel):
@@ -32,7 +34,7 @@ class IsPath:
 
     Args:
         kind: "policy" and "reward_model" are folders with weights and card, "run" is a folder with
-            checkpoints, "file" is a file; ``None`` is not looked for.
+            what a recipe wrote, "file" is a file; ``None`` is not looked for.
     """
 
     kind: Literal["policy", "reward_model", "run", "file"] | None = None
@@ -52,9 +54,9 @@ class IsPath:
                         f"{field}={value}: {file} not found: a {self.kind.replace('_', ' ')} is a "
                         f"folder with {weights} and {card}."
                     )
-        elif self.kind == "run" and not (path / "checkpoints").is_dir():
+        elif self.kind == "run" and not (path / ".hydra" / "overrides.yaml").is_file():
             raise ValueError(
-                f"{field}={value} has no checkpoints: it must be the folder of a run that has saved one."
+                f"{field}={value} is no run: it must be the folder of one that has begun."
             )
         elif self.kind == "file" and not path.is_file():
             raise ValueError(f"{field}={value}: there is no such file.")
@@ -90,6 +92,16 @@ def _ascending(value: list[float]) -> list[float]:
     if value[0] > value[1]:
         raise ValueError(f"must be a pair in ascending order, got {value!r}.")
     return value
+
+
+def _objectives(names: list[str]) -> list[str]:
+    reward_objectives(check_objectives(names), with_demonstrations=False)
+    return names
+
+
+def _rewards(constants: dict[str, Any]) -> dict[str, Any]:
+    get_rewards(constants)
+    return constants
 
 
 def different(value: list) -> list:
@@ -143,6 +155,14 @@ Name = Annotated[str, StringConstraints(min_length=1), Allows("a name")]
 
 Names = Annotated[
     list[Name], Field(min_length=1), AfterValidator(different), Allows("a list of names")
+]
+
+Objectives = Annotated[
+    list[Name], AfterValidator(_objectives), Allows("names of objectives, the static one first")
+]
+
+Rewards = Annotated[
+    dict[str, Any], AfterValidator(_rewards), Allows("constants of envs.RewardConstants")
 ]
 
 Device = Annotated[str, StringConstraints(pattern=r"^(cpu|cuda(:\d+)?)$"), Allows("cpu or cuda")]

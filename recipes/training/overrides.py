@@ -7,10 +7,11 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from pydantic import BaseModel
 
-from .quoting import in_quotes, is_sweep, reads_as
+from .quoting import in_quotes, is_sweep, quoted, reads_as
 from .validation import ConfigurationError, leaves, unknown_field
 
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
@@ -70,6 +71,38 @@ def prepared(
             value = _path_value(value, multirun=multirun)
         result.append(f"{sign}{key}={value}")
     return result
+
+
+def resumed(overrides: Sequence[str]) -> list[str]:
+    """Overrides of a run that goes on: in its folder, with those it began with; the new ones come last.
+
+    Args:
+        overrides: as :func:`prepared` gives them; without ``resume=`` they stay as they are.
+
+    Raises:
+        ConfigurationError: if what the folder says of its overrides cannot be used.
+    """
+    given = [one.removeprefix("resume=") for one in overrides if one.startswith("resume=")]
+    if not given or given[-1] == "null":
+        return list(overrides)
+    run = Path(OverridesParser.create().parse_override(f"resume={given[-1]}").value())
+    file = run / ".hydra" / "overrides.yaml"
+    if not file.is_file():  # said by the check of the field
+        return list(overrides)
+    try:
+        kept = yaml.safe_load(file.read_text())
+    except (yaml.YAMLError, OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{file} cannot be read: {str(error).splitlines()[0]}") from error
+    if not isinstance(kept, list) or not all(isinstance(one, str) for one in kept):
+        raise ConfigurationError(f"{file} is no list of overrides: the run cannot go on.")
+    if asks := [one for one in kept if "${" in one or one.startswith("hydra")]:
+        # Somebody else's run must not read the user's environment.
+        raise ConfigurationError(
+            f"{file}: {asks[0]!r} is not taken from a folder; give it yourself."
+        )
+    kept = [one for one in kept if not one.startswith("resume=")]
+    folder = () if any(one.startswith("hydra.run.dir=") for one in overrides) else (run,)
+    return [*kept, *overrides, *(f"hydra.run.dir={quoted(one)}" for one in folder)]
 
 
 def jobs(overrides: Sequence[str]) -> Iterator[list[str]]:

@@ -21,11 +21,13 @@ from .fields import (
     Distribution,
     Layers,
     LossFunction,
-    Names,
     NotNegative,
+    Objectives,
     Positive,
     RewardModelFolder,
+    Rewards,
     RobotField,
+    RunFolder,
     SceneField,
     Section,
     Seed,
@@ -74,9 +76,10 @@ class Env(Section):
     num_envs: Size = Field(description="Robots that drive at once.")
     num_threads: CountOrNone = Field(description="Threads of the simulator; 0 is every CPU.")
     faults: Faults = Field(description="Faults of sensors and actuation.")
-    objectives: Names | None = Field(
-        None, description="Objectives of the reward; null is those of the paper."
+    objectives: Objectives = Field(
+        description="Objectives of the reward, the one that always counts once first."
     )
+    rewards: Rewards = Field(description="Constants of the rewards that differ from the defaults.")
 
 
 class Demonstrations(Section):
@@ -232,6 +235,9 @@ class Compute(Section):
 class OffPolicy(Section):
     """What all off-policy trainings share."""
 
+    resume: RunFolder | None = Field(
+        description="Folder of a run that did not end; it goes on there, as it was configured."
+    )
     seed: Seed = Field(description="Seed of networks, environments and preferences.")
     device: Device = Field(description="Where networks are trained.")
     env: Env

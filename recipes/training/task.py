@@ -11,6 +11,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from tensordict import TensorDict, TensorDictBase
+from torch import nn
 from torchrl.envs import EnvBase
 
 from envs import NavigationEnv
@@ -48,8 +49,12 @@ class Task:
     """For the cards of its policies."""
 
 
-def make_task(cfg: DictConfig) -> Task:
+def make_task(cfg: DictConfig, run_dir: Path | None = None) -> Task:
     """Environments, preferences and demonstrations as in PD-MORL; nothing is written yet.
+
+    Args:
+        cfg: the configuration.
+        run_dir: where the training will write; Hydra's output folder if ``None``.
 
     Raises:
         FileExistsError: if the run folder holds policies.
@@ -57,7 +62,8 @@ def make_task(cfg: DictConfig) -> Task:
     """
     torch.set_num_threads(cfg.compute.torch_threads)
     torch.manual_seed(cfg.seed)
-    run_dir = Path(HydraConfig.get().runtime.output_dir)
+    if run_dir is None:
+        run_dir = Path(HydraConfig.get().runtime.output_dir)
     if cfg.get("resume") is None:
         check_run_dir(run_dir)
     device = torch.device(cfg.device)
@@ -93,6 +99,10 @@ def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | 
     if folder is None:
         return None
     model, card = load_reward_model(folder)
+    # Agents are drawn behind a reward model of that size: a seed gives the policy that it always gave.
+    members = model.module.members
+    sizes = [layer.out_features for layer in members[0] if isinstance(layer, nn.Linear)]
+    RewardModel(in_features=model.in_features, num_cells=sizes[:-1], num_members=len(members))
     size = model.in_features - 2 * ("action" in model.in_keys)
     check_observation(cfg, folder, size)
     return model, card

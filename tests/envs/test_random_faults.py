@@ -12,7 +12,7 @@ from torchrl.envs.utils import check_env_specs
 from envs import Faults, NavigationEnv
 from envs.faults import get_faults
 from envs.policy_env import make_policy_env
-from recipes.training import corners
+from recipes.training import task
 from tests._drex import config
 
 EVERY = Faults(
@@ -227,6 +227,8 @@ def test_what_was_demonstrated_knows_no_faults():
     card = {"demonstrator": {"radius": 1.0, "side": "left", "speed": 0.5, "robot": "turtlebot2"}}
     faults = ("env.faults.velocity_noise=[0.1,0.3]", "env.faults.latency=[0,1]")
     clean, faulty = (
-        corners.demonstrated(config("pd_morl", (*overrides, *more)), card) for more in ((), faults)
+        task.demonstrated(cfg, card, task.evaluation_start(cfg))
+        for more in ((), faults)
+        for cfg in [config("pd_morl", (*overrides, *more))]
     )
     assert (clean == faulty).all()

@@ -17,7 +17,8 @@ from envs.policy_env import make_policy_env, observation_size
 from envs.straight_drive import StraightDriveValue
 from recipes.drex import drex, ranking, report
 from recipes.drex.cloning import clone_behaviour, save_clone
-from recipes.evaluation.sweep import observed_by, sweep
+from recipes.evaluation.setting import trained_in
+from recipes.evaluation.sweep import sweep
 from recipes.pd_morl import pd_morl
 from recipes.training.agent import make_actor
 from recipes.training.loss import make_loss
@@ -149,7 +150,7 @@ def test_both_ablations_from_demonstrations_to_an_evaluated_policy(tmp_path, mon
         loaded = load_policy(policy)
         assert loaded.preference_space.tunable == ("demo", "distance", "efficiency")
         assert loaded.actor[0].module[0].in_features == 33 + 3
-        assert observed_by(loaded.card)["observe_human"] is False
+        assert trained_in(loaded.card).observed["observe_human"] is False
         assert loaded.card["demonstrator"]["radius"] == 1.0
         kwargs = {"episodes": 2, "seed": 0, "max_episode_steps": 5, "num_threads": 1}
         demonstrator = CircleDemonstrator(**loaded.card["demonstrator"])
@@ -159,7 +160,7 @@ def test_both_ablations_from_demonstrations_to_an_evaluated_policy(tmp_path, mon
             loaded.preference_space.corners(),
             demonstrator=demonstrator,
             **kwargs,
-            **observed_by(loaded.card),
+            **trained_in(loaded.card).observed,
         )
         assert result.metrics["frechet"].isfinite().all()
 
@@ -191,7 +192,11 @@ def test_the_saved_clone_does_what_the_clone_does_under_every_preference(tmp_pat
 
 
 def test_cards_that_do_not_tell_observe_the_human():
-    assert observed_by({}) == observed_by({"config": {"env": {"scene": "static"}}}) == {}
+    assert (
+        trained_in({}).observed
+        == trained_in({"config": {"env": {"scene": "static"}}}).observed
+        == {}
+    )
 
 
 def test_a_reward_model_of_the_state_alone_scores_any_action_alike():
@@ -234,7 +239,7 @@ def test_variant_trains_and_is_evaluated_elsewhere(name, tmp_path):
         policy.preference_space.corners(),
         scene="moving_human",
         **kwargs,
-        **observed_by(policy.card),
+        **trained_in(policy.card).observed,
     )
     assert result.metrics.shape == (2, 2)
 

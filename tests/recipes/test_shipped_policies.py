@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from envs.policy_env import make_policy_env
-from recipes.evaluation.sweep import observed_by
+from recipes.evaluation.setting import trained_in
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.transforms import PreferenceSampler
 
@@ -26,7 +26,7 @@ def test_it_drives_a_second_in_the_environment_of_its_card(folder):
         num_envs=3,
         scene=scene,
         seed=0,
-        **observed_by(policy.card),
+        **trained_in(policy.card).observed,
     )
     with torch.no_grad():
         rollout = env.rollout(5, policy.actor, break_when_any_done=False)

@@ -14,7 +14,7 @@ from torchrl_morl.modules import make_actor
 from torchrl_morl.transforms import PreferenceSampler
 
 pytest.importorskip("imageio", reason="MO-Gymnasium's MuJoCo tasks import it")
-PAGE = (Path(__file__).parent.parent / "docs" / "mo_gymnasium.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "mo_gymnasium.md").read_text()
 
 
 def test_the_page_runs():

@@ -148,10 +148,13 @@ class RankedSnippets:
             row = self._randint(members.count[combination], batch_size)
             sides.append(members.get(combination, row))
         better, worse = sides
+        # A draw more than is needed, and the other side's first: a seed gives the pairs it always gave.
+        torch.rand(batch_size, 1, generator=self.generator, device=better.device)
+        other = self._gather(worse)
         return TensorDict(
             {
                 "preferred": self._gather(better),
-                "other": self._gather(worse),
+                "other": other,
                 "gap": self._gap[combination],
             },
             batch_size=[batch_size],

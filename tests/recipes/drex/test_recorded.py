@@ -14,7 +14,7 @@ from recipes.drex import augmentation, drex, styles
 from recipes.drex.demonstrations import demonstrator
 from recipes.drex.recorded import distance_from_recorded
 from recipes.drex.rollouts import rollouts
-from recipes.training import corners
+from recipes.training import task
 from tests._command import run
 from tests._drex import TINY, config
 from torchrl_morl.data import load_demonstrations, save_demonstrations
@@ -146,7 +146,8 @@ def test_a_policy_learns_from_recorded_drives(distilled, tmp_path):
 
 
 def test_the_evaluation_of_a_training_has_nobody_to_follow():
-    assert corners.demonstrated(config("pd_morl"), {}) is None
+    cfg = config("pd_morl")
+    assert task.demonstrated(cfg, {}, task.evaluation_start(cfg)) is None
 
 
 # --- what is refused

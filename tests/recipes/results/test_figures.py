@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
+from recipes.objectives import OBJECTIVES, edge_map, preference_colors
 from recipes.results import figures
-from recipes.results.colors import CORNERS, edge_map, preference_colors
 from recipes.results.files import read_evaluation
 from recipes.results.qualitative import Column, pick_scenes, qualitative_figure
 from recipes.results.quantitative import corner_tests, quantitative_figure
@@ -122,10 +122,10 @@ def test_missing_conditions_are_named(tmp_path, monkeypatch, capsys, drawn):
 def test_colors_of_preferences():
     objectives = ["demo", "distance", "efficiency"]
     colors = preference_colors(np.eye(3), objectives)
-    np.testing.assert_allclose(colors, [to_rgb(CORNERS[name]) for name in objectives])
+    np.testing.assert_allclose(colors, [to_rgb(OBJECTIVES[name].color) for name in objectives])
     between = preference_colors([[0.0, 0.5, 0.5]], objectives)[0]
     np.testing.assert_allclose(between, edge_map("distance", "efficiency")(0.5)[:3], atol=0.01)
-    with pytest.raises(ValueError, match=r"No colour for \['comfort'\]"):
+    with pytest.raises(ValueError, match="objective 'comfort' has no row"):
         preference_colors([[1.0]], ["comfort"])
 
 
@@ -136,6 +136,9 @@ def lightness(color: str) -> float:
 
 
 def test_corners_differ_in_lightness():
-    """So that they are told apart without hue."""
+    """So that they are told apart without hue, the paper's three more than a fourth."""
     assert lightness("#ffffff") == pytest.approx(100)
-    assert np.diff(sorted(map(lightness, CORNERS.values()))).min() > 20
+    levels = {name: lightness(objective.color) for name, objective in OBJECTIVES.items()}
+    paper = sorted(levels[name] for name in ("demo", "distance", "efficiency"))
+    assert np.diff(paper).min() > 20
+    assert np.diff(sorted(levels.values())).min() > 10

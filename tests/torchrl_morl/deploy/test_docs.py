@@ -10,7 +10,7 @@ import torchrl_morl.deploy as deploy
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.deploy.runner import Reason
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "deploy.md").read_text()
 
 

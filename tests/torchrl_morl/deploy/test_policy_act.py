@@ -16,7 +16,7 @@ from torchrl_morl.deploy import Sensing, load_policy
 from torchrl_morl.deploy.features import observation
 from torchrl_morl.transforms import PreferenceSampler
 
-POLICIES = Path(__file__).parents[2] / "recipes" / "policies"
+POLICIES = Path(__file__).parents[3] / "recipes" / "policies"
 
 
 @pytest.fixture(scope="module")

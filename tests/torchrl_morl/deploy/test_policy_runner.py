@@ -14,7 +14,7 @@ import torch
 from envs.policy_env import lidar_geometry, make_policy_env
 from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy
 
-POLICIES = Path(__file__).parents[2] / "recipes" / "policies"
+POLICIES = Path(__file__).parents[3] / "recipes" / "policies"
 PREFERENCE = (0.2, 0.3, 0.5)
 NAN, INF = math.nan, math.inf
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict, lazy_stack
-from tests.test_component_contract import reward_model
 from torchrl.data import LazyStackStorage, LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement
 from torchrl.envs import Compose
 
+from tests.torchrl_morl.test_component_contract import reward_model
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.testing import random_transitions
 from torchrl_morl.transforms import (
