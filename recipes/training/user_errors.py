@@ -80,19 +80,19 @@ def _hydra_line(error: Exception) -> str:
 
 
 def _disk_is_full(error: BaseException, run_dir: Path | None) -> bool:
-    if isinstance(error, OSError):
-        return error.errno in (errno.ENOSPC, errno.EDQUOT)
-    if isinstance(error, SafetensorError | RuntimeError) and run_dir is not None:
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return True
+    # Rust and C++ say it in words.
+    if isinstance(error, OSError | SafetensorError | RuntimeError) and run_dir is not None:
         return any(text in str(error) for text in _WRITE_FAILED)
     return False
 
 
 def _full_disk_line(error: BaseException, run_dir: Path | None) -> str:
     path = getattr(error, "filename", None) or run_dir
-    what = getattr(error, "strerror", None) or os.strerror(errno.ENOSPC)
-    if "free" not in what:
-        where = next(one for one in (Path(path), *Path(path).absolute().parents) if one.exists())
-        what = f"{what} ({shutil.disk_usage(where).free / 1e6:.1f} MB are free)"
+    where = next(one for one in (Path(path), *Path(path).absolute().parents) if one.exists())
+    free = shutil.disk_usage(where).free / 1e6
+    what = f"{os.strerror(errno.ENOSPC)} ({free:.1f} MB are free)"
     return f"{path}: {what}: free some space, or choose another hydra.run.dir"
 
 
