@@ -11,7 +11,15 @@ from omegaconf import OmegaConf
 import envs.objectives
 import recipes.objectives
 from envs import NavigationEnv
-from examples import doorway, my_robot, objective, preferences, record_drives
+from examples import (
+    doorway,
+    my_robot,
+    numpy_controller,
+    objective,
+    preferences,
+    record_drives,
+    unit_test_a_loss,
+)
 
 
 def _arrived(printed: str) -> list[int]:
@@ -43,6 +51,19 @@ def test_an_objective(capsys, monkeypatch):
         "distance",
         "ahead",
     ]
+
+
+def test_a_controller_in_numpy(capsys):
+    shown, wide, quick = (numpy_controller.drive(one) for one in ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
+    assert capsys.readouterr().out.count("goal reached") == 3
+    assert quick[0] < min(shown[0], wide[0])
+    assert quick[1] < shown[1] < wide[1]
+
+
+def test_unit_tests_of_a_loss_pass():
+    for name, test in vars(unit_test_a_loss).items():
+        if name.startswith("test_"):
+            test()
 
 
 def test_preferences_in_a_foreign_environment(capsys):

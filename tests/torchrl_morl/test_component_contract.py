@@ -145,7 +145,7 @@ def explore(module: nn.Module, data: TensorDict) -> TensorDict:
 
 CASES = {
     "CheckFinite": Case(lambda seed: CheckFinite(["observation"]), ("['observation']",)),
-    "LidarMinPool": Case(lambda seed: LidarMinPool(4), ("scan",)),
+    "LidarMinPool": Case(lambda seed: LidarMinPool(4), ("num_sectors=4", "scan")),
     "LogRange": Case(lambda seed: LogRange(3.5), ("max_range=3.5",), lambda: torch.rand(4)),
     "PolarFeatures": Case(
         lambda seed: PolarFeatures(scale=[5.0, 2.0]), ("goal", "human_features", "(5.0, 2.0)")

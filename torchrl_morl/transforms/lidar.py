@@ -14,6 +14,9 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs.transforms import ObservationTransform
 
+from torchrl_morl.representation import describe
+from torchrl_morl.transforms.stored import apart_from_storage
+
 __all__ = ["LidarMinPool", "LogRange", "valid_ranges"]
 
 
@@ -130,10 +133,20 @@ class LidarMinPool(ObservationTransform):
             tensordict (TensorDictBase): holds the ``in_keys``.
 
         Returns:
-            The same tensordict with the ``out_keys``.
+            The same tensordict with the ``out_keys``; for a lazy stack, a shallow copy of it.
 
         """
-        return self._call(tensordict)
+        return self._call(apart_from_storage(tensordict))
+
+    def __repr__(self) -> str:
+        return describe(
+            self,
+            num_sectors=self.num_sectors,
+            in_keys=self.in_keys,
+            out_keys=self.out_keys,
+            range_min=self.range_min,
+            range_max=self.range_max,
+        )
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
