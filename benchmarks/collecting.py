@@ -35,7 +35,7 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollector
 from torchrl.envs import EnvBase, RewardScaling
 
-from recipes.training import off_policy, task
+from recipes.training import checkpoint, off_policy, task
 from torchrl_morl.deploy import save_reward_model
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel
@@ -85,6 +85,17 @@ class Clocked:
         self.collector.shutdown()
 
 
+class NoState:
+    """In place of the state of a collector, which collectors of several processes do not have."""
+
+    def __init__(self, *_: object) -> None: ...
+
+    def state_dict(self) -> dict:
+        return {}
+
+    def load_state_dict(self, state: dict) -> None: ...
+
+
 def pd_morl_batch(overlapping: bool, threads: int, frames: int, overrides: list[str]) -> float:
     """Seconds from a batch to the next: the median, to which compiling and evaluations do not matter."""
     times: list[tuple[float, float]] = []
@@ -102,6 +113,7 @@ def pd_morl_batch(overlapping: bool, threads: int, frames: int, overrides: list[
         tempfile.TemporaryDirectory() as folder,
         mock.patch.object(task, "make_train_env", wraps=make_train_env) as makes,
         mock.patch.object(off_policy, "Collector", collector),
+        mock.patch.object(off_policy, "CollectorState", NoState),
     ):
         run_recipe(
             PD_MORL,
@@ -134,11 +146,11 @@ def mo_ppo_batch(two_processes: bool, num_envs: int, steps: int, batches: int) -
         tempfile.TemporaryDirectory() as folder,
         mock.patch.object(task, "make_train_env", wraps=make_train_env) as makes,
         mock.patch.object(torchrl.collectors, "Collector", collector),
+        mock.patch.object(checkpoint, "CollectorState", NoState),
     ):
         # It has learned nothing: it costs the same.
         size = OBSERVATION_SIZE + ACTION_SIZE
-        sizes = {"in_features": size, "num_cells": (256,) * 4, "num_members": 1}
-        save_reward_model(Path(folder) / "model", RewardModel(**sizes), **sizes, card={})
+        save_reward_model(Path(folder) / "model", RewardModel(in_features=size), card={})
         run_recipe(
             MO_PPO,
             f"policy={POLICY}",

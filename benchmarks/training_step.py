@@ -24,13 +24,13 @@ from unittest import mock
 
 import torch
 from torch.optim.swa_utils import AveragedModel
-from torchrl.checkpoint import CheckpointRotation
 from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.objectives import SoftUpdate
 
 from envs import NavigationEnv
 from recipes.training import gradients, logs, off_policy, optimizers
+from recipes.training.checkpoint import Checkpoints
 
 from .learner import CLOCKS, machine
 from .workload import PD_MORL, config, run_recipe
@@ -139,7 +139,8 @@ def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
         (logs, "log_training", "log, save"),
         (logs, "log_metrics", "log, save"),
         (off_policy, "save_training_policy", "log, save"),
-        (CheckpointRotation, "save", "log, save"),
+        (off_policy, "trajectories_picture", "log, save"),
+        (Checkpoints, "save", "log, save"),
     )
     with contextlib.ExitStack() as stack:
         for owner, attribute, name in plain:

@@ -50,8 +50,14 @@ def config(*overrides: str) -> DictConfig:
 
 def run_recipe(module: str, *overrides: str) -> None:
     """``python -m module overrides`` in this process, where the parts of it can be watched."""
-    with mock.patch.object(sys, "argv", [module, *overrides]):
-        runpy.run_module(module, run_name="__main__")
+    loaded = sys.modules.pop(module, None)  # runpy warns where there is one
+    try:
+        with mock.patch.object(sys, "argv", [module, *overrides]):
+            # Its own module is the main one, as a recipe expects of its command.
+            runpy.run_module(module, run_name="__main__", alter_sys=True)
+    finally:
+        if loaded is not None:
+            sys.modules[module] = loaded
 
 
 def make_task(cfg: DictConfig, preference_space: PreferenceSpace | None = None) -> Task:
@@ -70,6 +76,7 @@ def make_task(cfg: DictConfig, preference_space: PreferenceSpace | None = None) 
         reward_model=None,
         demo_card=None,
         demonstration=None,
+        scenes=TensorDict(batch_size=[0]),
     )
 
 

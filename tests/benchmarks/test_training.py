@@ -189,8 +189,8 @@ def test_units_run():
     class Once:
         """Calls what it is given, as pytest-benchmark does many times."""
 
-        def __call__(self, function, *args):
-            return function(*args)
+        def __call__(self, function, *args, **kwargs):
+            return function(*args, **kwargs)
 
         def pedantic(self, function, **kwargs):
             return function()
@@ -198,10 +198,11 @@ def test_units_run():
     cfg = units.config(*TINY)
     ours = units.Ours(cfg, units.transitions(200))
     ours.update()
+    deployed = load_policy(units.SHIPPED_POLICY)
     names = [name for name in dir(units) if name.startswith("test_")]
     assert len(names) >= 7
     for name in names:
         test = getattr(units, name)
-        arguments = {"benchmark": Once(), "cfg": cfg, "ours": ours}
+        arguments = {"benchmark": Once(), "cfg": cfg, "ours": ours, "deployed": deployed}
         wanted = test.__code__.co_varnames[: test.__code__.co_argcount]
         test(**{argument: arguments[argument] for argument in wanted})
