@@ -9,7 +9,6 @@ Examples::
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import get_args
 
@@ -22,7 +21,8 @@ from envs.mjcf import Drive
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
-from .evaluation.setting import Setting, choose, demonstrator
+from .arguments import Parser, count, episodes, number, share
+from .evaluation.setting import Setting, choose, demonstrator, scene_seed
 from .evaluation.sweep import SHIPPED_POLICY, Sweep, edge, sweep
 
 
@@ -43,9 +43,7 @@ def parse_preferences(texts: list[str], preference_space: PreferenceSpace) -> Te
 
 def main() -> None:
     """Evaluate; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(description=__doc__)
     parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
     parser.add_argument(
         "--scene", help=f"{', '.join(SCENES)}, or a .yaml file (default: that of the training)"
@@ -54,8 +52,8 @@ def main() -> None:
         "--robot", help=f"{', '.join(ROBOTS)}, or a .yaml file (default: that of the training)"
     )
     parser.add_argument("--drive", choices=get_args(Drive), help="default: that of the training")
-    parser.add_argument("--episodes", type=int, default=100, help="scenes per preference")
-    parser.add_argument("--seed", type=int, default=7, help="of the scenes")
+    parser.add_argument("--episodes", type=episodes, default=100, help="scenes per preference")
+    parser.add_argument("--seed", type=scene_seed, default=7, help="of the scenes")
     parser.add_argument(
         "--preferences",
         nargs="+",
@@ -66,10 +64,10 @@ def main() -> None:
     parser.add_argument(
         "--grid", action="store_true", help="the test grid of the paper: all edges, 11 steps each"
     )
-    parser.add_argument("--range-noise", type=float, default=0.0, help="lidar noise, m")
-    parser.add_argument("--dropout", type=float, default=0.0, help="share of lost lidar rays")
-    parser.add_argument("--velocity-noise", type=float, default=0.0, help="share of the range")
-    parser.add_argument("--latency", type=int, default=0, help="control steps, 0 or 1")
+    parser.add_argument("--range-noise", type=number(0), default=0.0, help="lidar noise, m")
+    parser.add_argument("--dropout", type=share, default=0.0, help="share of lost lidar rays")
+    parser.add_argument("--velocity-noise", type=number(0), default=0.0, help="share of the range")
+    parser.add_argument("--latency", type=count(0, 1), default=0, help="control steps, 0 or 1")
     args = parser.parse_args()
 
     torch.set_num_threads(1)
@@ -87,8 +85,6 @@ def main() -> None:
                 policy.preference_space, last, policy.preference_space.tunable[-2:][0]
             )
         faults = Faults(args.range_noise, args.dropout, args.velocity_noise, args.latency)
-        if args.episodes < 1:
-            raise ValueError(f"--episodes must be at least 1, got {args.episodes}.")
     except (OSError, ValueError) as error:
         parser.error(str(error))
     with tqdm.tqdm(total=len(preferences), unit="preference") as progress:

@@ -7,7 +7,6 @@ Example::
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import torch
@@ -16,17 +15,16 @@ from envs import ROBOTS, SCENES
 from envs.rendering import gl_context_type
 from torchrl_morl.deploy import load_policy
 
-from .demo.arguments import LARGEST_SEED, check_new_file, whole_number
+from .arguments import Parser, seed
 from .demo.film import film
 from .evaluation.setting import choose, demonstrator
 from .evaluation.sweep import SHIPPED_POLICY
+from .outputs import check_new_file
 
 
 def main() -> None:
     """Film the corner preferences; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(description=__doc__)
     parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
     parser.add_argument("--scene", default="showcase", help=f"{', '.join(SCENES)}, or a .yaml file")
     parser.add_argument(
@@ -34,7 +32,7 @@ def main() -> None:
     )
     parser.add_argument(
         "--seed",
-        type=whole_number(0, LARGEST_SEED),
+        type=seed,
         default=0,
         metavar="N",
         help="of the scene",

@@ -12,7 +12,6 @@ their own: ``--drex`` and ``--pd-morl`` pass overrides on to them.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import os
@@ -32,40 +31,43 @@ from envs.demonstrations import import_demonstrations
 from torchrl_morl.data import load_demonstrations, save_demonstrations
 from torchrl_morl.deploy import load_policy
 
+from .arguments import Parser, episodes, existing_file
 from .evaluation import style
 from .evaluation.setting import choose
 from .evaluation.sweep import Sweep, sweep
 from .objectives import DEMO, known
-from .train import final_policy, run
+from .outputs import claim_folder
+from .stages import run
+from .training.quoting import quoted
+from .training.run_folder import claim, final_policy
 
 
 def main() -> None:
     """Teach; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    parser = Parser(description=__doc__)
+    parser.add_argument("file", type=existing_file, help="recorded drives, .csv or .npz")
+    parser.add_argument(
+        "--boxes", type=existing_file, help="boxes around a .csv file's drives, .csv"
     )
-    parser.add_argument("file", type=Path, help="recorded drives, .csv or .npz")
-    parser.add_argument("--boxes", type=Path, help="boxes around a .csv file's drives, .csv")
     parser.add_argument("--robot", default="turtlebot2", help="that drove: a name or a .yaml file")
-    parser.add_argument("--output", type=Path, help="folder to write; must not exist")
-    parser.add_argument("--episodes", type=int, default=100, help="fresh scenes of the evaluation")
+    parser.add_argument("--output", type=Path, help="new folder (default: one in runs/teach)")
+    parser.add_argument(
+        "--episodes", type=episodes, default=100, help="fresh scenes of the evaluation"
+    )
     parser.add_argument("--full", action="store_true", help="full trainings instead of quick ones")
     parser.add_argument("--drex", nargs="*", default=[], help="overrides of recipes/drex")
     parser.add_argument("--pd-morl", nargs="*", default=[], help="overrides of recipes/pd_morl")
     args = parser.parse_args()
-    output = args.output or Path("runs/teach") / time.strftime("%Y-%m-%d_%H-%M-%S")
-    if output.exists():
-        parser.error(f"{output} exists and is not overwritten: choose another folder.")
-    if args.episodes < 1:
-        parser.error(f"--episodes must be at least 1, got {args.episodes}.")
     started = time.perf_counter()
     try:
         robot = get_robot(args.robot)
         drives, report = import_demonstrations(args.file, args.boxes, robot=robot)
+        base = Path("runs/teach")
+        output = claim(base) if args.output is None else claim_folder(args.output, base)
     except (OSError, ValueError) as error:
         parser.error(str(error))
     print(report)
-    output.mkdir(parents=True)
+    output = output.resolve()
     dataset = output / "demonstrations.safetensors"
     save_demonstrations(
         dataset,
@@ -81,9 +83,9 @@ def main() -> None:
         [
             "recipes.drex.drex",
             *preset,
-            f"hydra.run.dir={drex}",
-            f"demonstrations.dataset={dataset}",
-            f"env.robot={args.robot}",
+            f"hydra.run.dir={quoted(drex)}",
+            f"demonstrations.dataset={quoted(dataset)}",
+            f"env.robot={quoted(args.robot)}",
             f"torch_threads={threads}",
             *args.drex,
         ],
@@ -93,10 +95,10 @@ def main() -> None:
         [
             "recipes.pd_morl.pd_morl",
             *preset,
-            f"hydra.run.dir={morl}",
-            f"demonstrations.reward_model={drex / 'reward_model'}",
-            f"demonstrations.dataset={dataset}",
-            f"env.robot={args.robot}",
+            f"hydra.run.dir={quoted(morl)}",
+            f"demonstrations.reward_model={quoted(drex / 'reward_model')}",
+            f"demonstrations.dataset={quoted(dataset)}",
+            f"env.robot={quoted(args.robot)}",
             f"compute.torch_threads={threads}",
             *args.pd_morl,
         ],

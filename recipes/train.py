@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
 import shlex
 import sys
@@ -22,7 +21,7 @@ from typing import Any
 from .arguments import Parser, episodes, existing_folder
 from .stages import Record, lock, run, unfinished
 from .training.quoting import quoted
-from .training.run_folder import claim
+from .training.run_folder import claim, final_policy
 
 _RUNS = Path("runs/train")
 _MODULES = {
@@ -249,23 +248,6 @@ def stage(record: Record, name: str, command: Callable[[Path], list[str]]) -> Pa
     record.begin(name, given, folder.name)
     record.finish(name, run(name, given))
     return folder
-
-
-def final_policy(run_dir: Path) -> Path:
-    """The policy with the best score among those saved in the last fifth of the training."""
-    policies = sorted((run_dir / "policies").glob("[!.]*"))
-    if not policies:
-        sys.exit(
-            f"{run_dir / 'policies'} holds no policy: the training ended before its first update. "
-            "It must last longer than collector.init_random_frames steps: raise "
-            "--pd-morl collector.total_frames=..."
-        )
-    late = policies[-max(1, len(policies) // 5) :]
-
-    def score(folder: Path) -> float:
-        return json.loads((folder / "policy.json").read_text())["card"]["score"]
-
-    return max(late, key=score)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ where that exists.
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
 
@@ -15,13 +14,14 @@ import torch
 import tqdm
 
 from envs.rendering import gl_context_type
-from recipes.evaluation.setting import choose, demonstrator
+from recipes.arguments import Parser, count
+from recipes.evaluation.setting import choose, demonstrator, scene_seed
 from recipes.evaluation.sweep import SHIPPED_POLICY, edge, sweep
 from recipes.objectives import known
+from recipes.outputs import claim_folder
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import steerability
 
-from .arguments import LARGEST_SEED, claim_folder, whole_number
 from .figures import Row, sweep_figure, switch_figure
 from .film import film
 from .switch import switch
@@ -29,15 +29,15 @@ from .switch import switch
 
 def main() -> None:
     """Run the demo; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser = Parser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
     parser.add_argument(
         "--output", type=Path, help="new folder (default: runs/demo, else runs/demo-2 and so on)"
     )
     for name, default, numbers, text in (
-        ("--episodes", 100, whole_number(1, 10_000), "random scenes"),
-        ("--steps", 11, whole_number(2, 1_000), "preferences in a sweep"),
-        ("--seed", 7, whole_number(0, LARGEST_SEED), "of the random scenes"),
+        ("--episodes", 100, count(1, 10_000), "random scenes"),
+        ("--steps", 11, count(2, 1_000), "preferences in a sweep"),
+        ("--seed", 7, scene_seed, "of the random scenes"),
     ):
         parser.add_argument(name, type=numbers, default=default, metavar="N", help=text)
     args = parser.parse_args()

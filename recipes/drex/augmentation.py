@@ -8,7 +8,6 @@ Clones the behaviour from the first 1, 10, 100 and 1,000 demonstrations of a fil
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import matplotlib
@@ -22,6 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from recipes.arguments import Parser
 from torchrl_morl.data import load_demonstrations
 
 from .cloning import clone_behaviour
@@ -37,9 +37,7 @@ _LABELS = {
 
 def main() -> None:
     """Clone, drive and compare; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(description=__doc__)
     parser.add_argument("file", type=Path, help="demonstrations of recipes.drex.drex")
     parser.add_argument("--output", type=Path, required=True, help="folder for the picture")
     parser.add_argument(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 from collections.abc import Mapping
 from typing import Any
@@ -10,6 +11,7 @@ from envs import Robot, Scene, get_robot, get_scene
 from envs.demonstrations import CircleDemonstrator
 from envs.mjcf import Drive
 from envs.policy_env import observed
+from envs.splits import check_test_seed
 from torchrl_morl.deploy import training_config
 
 GOAL_RADIUS = 0.3
@@ -90,6 +92,15 @@ def choose(
                 f"{_named(before)}: this measures how well it transfers."
             )
     return setting
+
+
+def scene_seed(text: str) -> int:
+    """A type for :mod:`argparse`: scenes that no training and no choice of a checkpoint has seen."""
+    try:
+        return check_test_seed(int(text))
+    except ValueError as error:
+        reason = str(error) if text.isdigit() else f"must be a whole number, got {text!r}"
+        raise argparse.ArgumentTypeError(reason) from error
 
 
 def demonstrator(card: Mapping[str, Any], robot: Robot) -> CircleDemonstrator | None:

@@ -13,7 +13,6 @@ interruption; nothing is overwritten.
 
 from __future__ import annotations
 
-import argparse
 import importlib.metadata
 import itertools
 import json
@@ -28,7 +27,8 @@ from tensordict import TensorDict
 
 from torchrl_morl.evaluation import bootstrap_interval, cluster_rate_interval
 
-from ..evaluation.setting import GOAL_RADIUS
+from ..arguments import Parser, count, episodes
+from ..evaluation.setting import GOAL_RADIUS, scene_seed
 from ..evaluation.sweep import sweep
 from .conditions import CHANGES, SCENE_KINDS, condition
 from .episodes import OUTCOMES, episode_values, trajectory_arrays
@@ -193,9 +193,7 @@ def _check_same(folder: Path, request: dict[str, Any]) -> None:
 
 def main() -> None:
     """Evaluate; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(description=__doc__)
     parser.add_argument(
         "systems",
         nargs="+",
@@ -210,19 +208,17 @@ def main() -> None:
         help=f"a scene ({', '.join(SCENE_KINDS)}), a change of the static one "
         f"({', '.join(CHANGES)}), or both: moving_human+faults (default: static)",
     )
-    parser.add_argument("--episodes", type=int, default=100, help="scenes per preference")
-    parser.add_argument("--seed", type=int, default=7, help="of the scenes")
+    parser.add_argument("--episodes", type=episodes, default=100, help="scenes per preference")
+    parser.add_argument("--seed", type=scene_seed, default=7, help="of the scenes")
     parser.add_argument(
-        "--steps", type=int, default=11, help="preferences along each edge: 33 in all with 11"
+        "--steps",
+        type=count(2, 1000),
+        default=11,
+        help="preferences along each edge: 33 in all with 11",
     )
     args = parser.parse_args()
     torch.set_num_threads(1)
     try:
-        for option, least in (("episodes", 1), ("steps", 2)):
-            if getattr(args, option) < least:
-                raise ValueError(
-                    f"--{option} must be at least {least}, got {getattr(args, option)}."
-                )
         systems = [load_system(text) for text in args.systems]
         for name in args.condition:
             condition(name)

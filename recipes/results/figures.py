@@ -8,9 +8,9 @@ Example::
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
+from ..arguments import Parser
 from .files import SUMMARY, Evaluation, read_evaluation
 from .qualitative import Column, pick_scenes, qualitative_figure
 from .quantitative import quantitative_figure
@@ -59,9 +59,7 @@ def choose_columns(
 
 def main() -> None:
     """Draw the figures; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(description=__doc__)
     parser.add_argument("directory", type=Path, help="what recipes.results.evaluate wrote")
     parser.add_argument("--system", default="OUR", help="whose figures")
     parser.add_argument("--core", default="CORE", help="system without preferences, if it is there")

@@ -10,7 +10,6 @@ starts with the log, after imports and before the compilation of the losses, and
 
 from __future__ import annotations
 
-import argparse
 import textwrap
 from pathlib import Path
 
@@ -20,6 +19,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from ..arguments import Parser
 from ..objectives import OBJECTIVES
 
 PANELS = {
@@ -93,9 +93,7 @@ def draw(runs: dict[str, Curves], path: Path) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Draw; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(description=__doc__)
     parser.add_argument("runs", type=Path, nargs="+", help="run folders of recipes.pd_morl")
     parser.add_argument("--output", type=Path, required=True, help="picture to write")
     args = parser.parse_args(arguments)

@@ -8,12 +8,12 @@ Example::
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
 
 from torchrl_morl.evaluation import Interval, significance_mark
 
+from ..arguments import Parser
 from ..objectives import OBJECTIVES
 from . import paper
 from .comparison import (
@@ -156,9 +156,7 @@ def report(evaluations: dict[str, Evaluation], reference: str = "OUR") -> str:
 
 def main() -> None:
     """Write and print the tables; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(description=__doc__)
     parser.add_argument("directory", type=Path, help="what recipes.results.evaluate wrote")
     parser.add_argument("--condition", nargs="+", help="default: all that are there")
     parser.add_argument("--reference", default="OUR", help="system that others are tested against")

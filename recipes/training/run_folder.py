@@ -9,6 +9,7 @@ import os
 import platform
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -145,3 +146,20 @@ def _git_state(diff_file: Path) -> dict[str, Any] | None:
     if diff:
         write_atomically(diff_file, diff)
     return {"commit": commit.stdout.strip(), "uncommitted_changes": bool(diff)}
+
+
+def final_policy(run_dir: Path) -> Path:
+    """The policy with the best score among those saved in the last fifth of the training."""
+    policies = sorted((run_dir / "policies").glob("[!.]*"))
+    if not policies:
+        sys.exit(
+            f"{run_dir / 'policies'} holds no policy: the training ended before its first update. "
+            "It must last longer than collector.init_random_frames steps: raise "
+            "--pd-morl collector.total_frames=..."
+        )
+    late = policies[-max(1, len(policies) // 5) :]
+
+    def score(folder: Path) -> float:
+        return json.loads((folder / "policy.json").read_text())["card"]["score"]
+
+    return max(late, key=score)

@@ -1,40 +1,10 @@
-"""Checks of what the command line of the demo and of the film was given, before anything is written."""
+"""Where a command writes: new files and folders, looked at before any work is done."""
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import os
-from collections.abc import Callable
 from pathlib import Path
-
-LARGEST_SEED = 2**32 - 1
-
-
-def whole_number(low: int, high: int) -> Callable[[str], int]:
-    """A type for :mod:`argparse`: whole numbers from ``low`` to ``high``.
-
-    Examples:
-        >>> whole_number(2, 9)("7")
-        7
-        >>> whole_number(2, 9)("1")
-        Traceback (most recent call last):
-            ...
-        argparse.ArgumentTypeError: must be a whole number from 2 to 9, got '1'
-    """
-
-    def parse(text: str) -> int:
-        try:
-            number = int(text)
-        except ValueError:
-            number = low - 1
-        if not low <= number <= high:
-            raise argparse.ArgumentTypeError(
-                f"must be a whole number from {low} to {high:,}, got {text!r}"
-            )
-        return number
-
-    return parse
 
 
 def check_new_file(path: Path) -> None:
