@@ -72,7 +72,7 @@ def extras(site: Path) -> None:
     for function, extra, package, arguments, keywords in (
         ("hypervolume", "indicators", "moocore", (torch.ones(2, 2), torch.zeros(2)), {}),
         ("write_video", "viz", "imageio", (video.with_suffix(".mp4"), frames), {}),
-        ("write_video", "viz", "imageio", (video.with_suffix(".gif"), frames), {}),
+        ("write_video", "viz", "PIL", (video.with_suffix(".gif"), frames), {}),
         ("draw_preference", "viz", "PIL", (frames, torch.ones(2, 1), ["a"]), {}),
         ("draw_scene", "viz", "matplotlib", (None,), {**scene, **radii}),
         ("draw_paths", "viz", "matplotlib", (None, *path), {}),

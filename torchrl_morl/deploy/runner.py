@@ -84,16 +84,20 @@ class PolicyRunner:
             policy whose file does not tell what it senses.
 
     Example:
+        In a clone ``load_policy("recipes/policies/navigation")`` is a trained one.
+
         >>> import numpy as np
-        >>> from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy
+        >>> from torchrl_morl.deploy import LidarGeometry, PolicyRunner
+        >>> from torchrl_morl.testing import untrained_policy
         >>> lidar = LidarGeometry(-np.pi, np.pi / 180, 360, range_min=0.12, range_max=3.5)
-        >>> runner = PolicyRunner(load_policy("recipes/policies/navigation"), lidar=lidar)
+        >>> policy = untrained_policy()
+        >>> runner = PolicyRunner(policy, lidar=lidar)
         >>> scan = np.full(360, np.inf)
         >>> preference = (0.0, 0.5, 0.5)  # demo, distance, efficiency
         >>> command = runner.step(
         ...     scan, goal=(3.0, 0.1), preference=preference, stamp=0.0, time=0.05
         ... )
-        >>> command.reason, command.speed > 0.4
+        >>> command.reason, command.speed > 0.1
         ('drive', True)
         >>> command = runner.step(
         ...     scan, goal=(3.0, 0.1), preference=preference, stamp=0.0, time=0.25
