@@ -37,7 +37,7 @@ def scene_view(points: Tensor, boxes: Tensor, aspect: float) -> Camera:
         aspect: width of the picture over its height.
 
     Examples:
-        >>> points, boxes = torch.tensor([[0.0, 0.0], [9.0, 1.0]]), torch.zeros(0, 5)
+        >>> points, boxes = torch.tensor([[0.0, 0.0], [9.0, 1.0]]).double(), torch.zeros(0, 5)
         >>> view = scene_view(points, boxes, aspect=2.0)
         >>> view.lookat, round(view.height, 6)  # 9 m and a margin of 0.6 m on both sides
         ((4.5, 0.5, 0.0), 5.1)

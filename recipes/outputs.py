@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import os
+import tempfile
 from pathlib import Path
 
 
@@ -58,5 +58,11 @@ def _check_writable(folder: Path, output: Path) -> None:
     there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     if not there.is_dir():
         raise ValueError(f"--output {output}: {there} is not a folder: choose another place.")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise ValueError(f"--output {output}: {there} cannot be written: choose another place.")
+    try:
+        # Permissions alone do not tell: nothing binds root, and a file system may be read-only.
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as error:
+        raise ValueError(
+            f"--output {output}: {there} cannot be written ({error.strerror}): choose another place."
+        ) from error
