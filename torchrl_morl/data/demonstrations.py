@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from torchrl_morl.deploy.files import null_for_nan, one_line, parse_json
+from torchrl_morl.deploy.entries import null_for_nan, one_line, parse_json
 
 __all__ = ["load_demonstrations", "save_demonstrations"]
 

@@ -2,7 +2,8 @@
 
 from .config import literal_config, training_config
 from .lidar import LidarGeometry
-from .policy import Policy, load_policy, save_policy
+from .policy import Policy
+from .policy_files import load_policy, save_policy
 from .reward_model import load_reward_model, save_reward_model
 from .runner import Command, PolicyRunner
 from .sensing import Limits, Sensing

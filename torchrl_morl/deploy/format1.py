@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .files import Entries
+from .entries import Entries
 from .sensing import Limits, Sensing
 
 _NEW_NAMES = {

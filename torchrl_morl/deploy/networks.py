@@ -8,7 +8,7 @@ from typing import Any
 from tensordict.utils import NestedKey
 from torch import nn
 
-from .files import Entries
+from .entries import Entries
 
 ACTIVATIONS: dict[str, type[nn.Module]] = {
     activation.__name__: activation

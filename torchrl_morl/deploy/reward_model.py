@@ -10,7 +10,8 @@ import torch
 
 from torchrl_morl.modules import RewardModel
 
-from .files import Entries, count_tensors, paths, read_config, read_weights, write_module
+from .entries import Entries
+from .files import count_tensors, paths, read_config, read_weights, write_module
 from .networks import (
     ACTIVATIONS,
     check_restorable,

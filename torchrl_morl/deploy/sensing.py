@@ -6,7 +6,7 @@ import dataclasses
 import math
 from typing import Any
 
-from .files import Entries
+from .entries import Entries
 
 __all__ = ["Limits", "Sensing"]
 
