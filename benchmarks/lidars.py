@@ -23,7 +23,8 @@ import tqdm
 from envs import NavigationEnv
 from envs.lidar import MIN_RANGE, Lidar
 from envs.robots import Robot, get_robot
-from envs.scenes import HUMAN_RADIUS, Scene, get_scene
+from envs.scene_files import get_scene
+from envs.scenes import HUMAN_RADIUS, Scene
 from recipes.evaluation.sweep import SHIPPED_POLICY
 from torchrl_morl.deploy import LidarGeometry, Policy, PolicyRunner, load_policy
 

@@ -6,6 +6,7 @@ from .navigation import NavigationEnv
 from .objectives import OBJECTIVES, RewardConstants
 from .rendering import Camera
 from .robots import HSR, ROBOTS, TURTLEBOT2, Robot, get_robot
+from .scene_files import get_scene
 from .scenes import (
     CORRIDOR,
     EMPTY,
@@ -17,7 +18,6 @@ from .scenes import (
     SHOWCASE,
     STATIC,
     Scene,
-    get_scene,
 )
 
 __all__ = [

@@ -68,6 +68,11 @@ class Faults:
         return any(isinstance(value, tuple) for value in dataclasses.astuple(self))
 
     @functools.cached_property
+    def disturb_scans(self) -> bool:
+        """Whether lidar ranges can have noise or lose returns."""
+        return bool(self.most["range_noise"] or self.most["dropout"])
+
+    @functools.cached_property
     def most(self) -> dict[str, float]:
         """The largest amount of each fault that an episode can have."""
         return {field.name: self._ends(field.name)[1] for field in dataclasses.fields(self)}

@@ -6,7 +6,6 @@ Task of de Heuvel et al., "Demonstration-Enhanced Adaptable Multi-Objective Robo
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,7 +15,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.data import Bounded, Composite, Unbounded
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
 from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl, yaw_quaternion
@@ -24,12 +23,14 @@ from .faults import Faults, get_faults
 from .geometry import arctan2, cos_sin
 from .lidar import MIN_RANGE, Lidar
 from .mjcf import Drive, navigation_mjcf, time_step
+from .navigation_specs import observation_spec, snapshot_specs
 from .navigation_task import PAPER_OBJECTIVES, NavigationTask
 from .objectives import RewardConstants, check_objectives, get_rewards
 from .rendering import Camera
 from .robots import Robot, get_robot
+from .scene_files import get_scene
 from .scene_stream import SceneStream
-from .scenes import Scene, get_scene
+from .scenes import Scene
 from .views import chase_view, top_view
 
 
@@ -152,7 +153,7 @@ class NavigationEnv(BatchedMujocoEnv):
             self.robot,
             num_rays=num_rays,
             max_range=max_range,
-            dtype=np.float64 if self._has_range_faults else self._array_dtype,
+            dtype=np.float64 if self.faults.disturb_scans else self._array_dtype,
         )
 
     # --- model and specs -----------------------------------------------------------------------
@@ -182,10 +183,6 @@ class NavigationEnv(BatchedMujocoEnv):
     def _open_batch(self) -> None:
         super()._open_batch()
         self._box_sizes = self.batch.expand("geom_size") if self._box_geoms else None
-
-    @property
-    def _has_range_faults(self) -> bool:
-        return bool(self.faults.most["range_noise"] or self.faults.most["dropout"])
 
     def __getstate__(self) -> dict[str, Any]:
         state = super().__getstate__()
@@ -226,31 +223,9 @@ class NavigationEnv(BatchedMujocoEnv):
 
     def _make_obs_spec(self) -> Composite:
         n = self.num_envs
-        low = torch.tensor([0.0, -math.pi], dtype=self.dtype).expand(n, 2).clone()
-        high = torch.tensor([math.inf, math.pi + 1e-6], dtype=self.dtype).expand(n, 2).clone()
-        spec = Composite(
-            scan=Bounded(0.0, self.max_range, shape=(n, self.num_rays), dtype=self.dtype),
-            goal=Bounded(low=low, high=high, dtype=self.dtype),
-            human=Bounded(low=low.clone(), high=high.clone(), dtype=self.dtype),
-            success=Binary(n=1, shape=(n, 1), dtype=torch.bool),
-            collision_human=Binary(n=1, shape=(n, 1), dtype=torch.bool),
-            collision_obstacle=Binary(n=1, shape=(n, 1), dtype=torch.bool),
-            pose=Unbounded(shape=(n, 3), dtype=torch.float64),
-            human_pose=Unbounded(shape=(n, 3), dtype=torch.float64),
-            shape=(n,),
-        )
-        scene = Composite(
-            goal=Unbounded(shape=(n, 2), dtype=torch.float64),
-            human_goal=Unbounded(shape=(n, 2), dtype=torch.float64),
-            boxes=Unbounded(shape=(n, self.scene.num_boxes, 5), dtype=torch.float64),
-            shape=(n,),
-        )
+        spec = observation_spec(n, self.num_rays, self.max_range, self.dtype)
         if self.snapshots:
-            spec["scene"] = scene
-            if self.faults.most["latency"]:
-                spec["pending_action"] = Unbounded(shape=(n, 2), dtype=torch.float64)
-            if self.faults.is_random:
-                spec["faults"] = Unbounded(shape=(n, 4), dtype=torch.float64)
+            spec.update(snapshot_specs(n, self.scene.num_boxes, self.faults))
         self._task = NavigationTask(
             n,
             self.scene.num_boxes,
@@ -294,13 +269,9 @@ class NavigationEnv(BatchedMujocoEnv):
         super()._load_snapshot(ids, tensordict)
         rows = ids.numpy()
         self._scenes.forget(rows)
-        for key, values in (
-            ("human_pose", self._task.human_pose),
-            (("scene", "goal"), self._task.goal),
-            (("scene", "human_goal"), self._task.human_goal),
-            (("scene", "boxes"), self._task.boxes),
-        ):
-            values[rows] = tensordict.get(key).cpu().numpy()[rows]
+        self._task.human_pose[rows] = tensordict.get("human_pose").cpu().numpy()[rows]
+        for key in ("goal", "human_goal", "boxes"):
+            getattr(self._task, key)[rows] = tensordict.get(("scene", key)).cpu().numpy()[rows]
         if self.faults.most["latency"]:
             self._pending[ids] = tensordict.get("pending_action").cpu()[ids]
         if self.faults.is_random:
@@ -386,11 +357,11 @@ class NavigationEnv(BatchedMujocoEnv):
             "human_pose": torch.from_numpy(task.human_pose[rows].copy()),
         }
         if self.snapshots:
-            scene = {"goal": task.goal, "human_goal": task.human_goal, "boxes": task.boxes}
-            out["scene"] = TensorDict(
-                {key: torch.from_numpy(values[rows].copy()) for key, values in scene.items()},
-                batch_size=[len(pose)],
-            )
+            scene = {
+                key: torch.from_numpy(getattr(task, key)[rows].copy())
+                for key in ("goal", "human_goal", "boxes")
+            }
+            out["scene"] = TensorDict(scene, batch_size=[len(pose)])
             if self.faults.most["latency"]:
                 out["pending_action"] = self._pending[rows].clone()
             if self.faults.is_random:
@@ -402,7 +373,7 @@ class NavigationEnv(BatchedMujocoEnv):
     ) -> Tensor:
         task = self._task
         ranges = self._lidar.cast(seen, cos, sin, task.boxes, task.radius, ids)
-        if self._has_range_faults:
+        if self.faults.disturb_scans:
             amounts = self._faults if ids is None else self._faults[ids]
             ranges = self.faults.disturb_ranges(
                 torch.from_numpy(ranges), amounts, self.max_range, self._fault_rng

@@ -16,7 +16,7 @@ from torchrl_morl.transforms import PreferenceSampler, RewardModelReward
 from .lidar import MIN_RANGE
 from .navigation import NavigationEnv
 from .robots import get_robot
-from .scenes import get_scene
+from .scene_files import get_scene
 
 _OBSERVED = ("observe_human", "observe_human_velocity")
 

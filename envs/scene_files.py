@@ -12,9 +12,9 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from .fields import Fields, is_list, is_number, number_hint
+from .fields import Fields, is_description, is_list, is_number, number_hint, shown
 from .scene_checks import problems, solvable
-from .scenes import Scene
+from .scenes import SCENES, Scene
 
 _FIELDS = ("name", "start", "goal", "human", "human_goal", "human_speed", "boxes")
 _BOX_FIELDS = ("at", "yaw", "size")
@@ -33,6 +33,45 @@ _MAX_UNSOLVABLE = 256
 _SHORTEST_WAY = 0.5
 
 Range = tuple[float, float]
+
+
+def get_scene(scene: str | Path | Mapping[str, Any] | Scene) -> Scene:
+    """Return the scene of that name or description, or the scene itself.
+
+    Args:
+        scene: a name from :data:`SCENES`, the path of a YAML file (``.yaml``, ``.yml``), a mapping of
+            the same fields, or a :class:`Scene`. The fields are ``start`` (x, y, heading), ``goal``
+            (x, y), ``human`` (x, y, and a heading if you like) and ``boxes``, a list of ``at`` (x, y),
+            ``yaw`` and ``size`` (length, width); where the human walks, ``human_goal`` (x, y) and
+            ``human_speed``. Metres, radians, m/s. A range [low, high] in place of a number is drawn from
+            in every episode.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if no scene has that name, and for a field that does not exist or is refused.
+
+    Examples:
+        A person somewhere beside a wall.
+
+        >>> import torch
+        >>> wall = {"at": [4.0, 2.0], "size": [0.2, 2.0]}
+        >>> scene = get_scene(
+        ...     {"start": [0, 0, 0], "goal": [8, 0], "human": [[3, 5], -0.5], "boxes": [wall]}
+        ... )
+        >>> generator = torch.Generator().manual_seed(0)
+        >>> scene.sample(64, 0.177, generator)["human"].shape
+        torch.Size([64, 3])
+    """
+    if isinstance(scene, Scene):
+        return scene
+    if isinstance(scene, str) and scene in SCENES:
+        return SCENES[scene]
+    if not is_description(scene):
+        raise ValueError(
+            f"Unknown scene {shown(scene)}: choose one of {sorted(SCENES)}, the path of a .yaml "
+            "file, a mapping of fields, or an envs.Scene."
+        )
+    return scene_from(scene)
 
 
 def scene_from(source: str | Path | Mapping[str, Any]) -> Scene:

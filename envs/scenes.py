@@ -14,9 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
 import torch
 from tensordict import TensorDict
@@ -24,7 +22,7 @@ from torch import Tensor
 
 from torchrl_morl.geometry import box_box_distance, point_box_distance, segment_box_distance
 
-from .fields import is_description, is_name, is_number, shown
+from .fields import is_name, is_number, shown
 
 HUMAN_RADIUS = 0.25
 """Radius of the cylinder that stands for the human, metres."""
@@ -303,43 +301,3 @@ SCENES: dict[str, Scene] = {
     scene.name: scene
     for scene in (STATIC, EXPLORING, MOVING_HUMAN, MIXED, CORRIDOR, EMPTY, SHOWCASE)
 }
-
-
-def get_scene(scene: str | Path | Mapping[str, Any] | Scene) -> Scene:
-    """Return the scene of that name or description, or the scene itself.
-
-    Args:
-        scene: a name from :data:`SCENES`, the path of a YAML file (``.yaml``, ``.yml``), a mapping of
-            the same fields, or a :class:`Scene`. The fields are ``start`` (x, y, heading), ``goal``
-            (x, y), ``human`` (x, y, and a heading if you like) and ``boxes``, a list of ``at`` (x, y),
-            ``yaw`` and ``size`` (length, width); where the human walks, ``human_goal`` (x, y) and
-            ``human_speed``. Metres, radians, m/s. A range [low, high] in place of a number is drawn from
-            in every episode.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if no scene has that name, and for a field that does not exist or is refused.
-
-    Examples:
-        A person somewhere beside a wall.
-
-        >>> wall = {"at": [4.0, 2.0], "size": [0.2, 2.0]}
-        >>> scene = get_scene(
-        ...     {"start": [0, 0, 0], "goal": [8, 0], "human": [[3, 5], -0.5], "boxes": [wall]}
-        ... )
-        >>> generator = torch.Generator().manual_seed(0)
-        >>> scene.sample(64, 0.177, generator)["human"].shape
-        torch.Size([64, 3])
-    """
-    if isinstance(scene, Scene):
-        return scene
-    if isinstance(scene, str) and scene in SCENES:
-        return SCENES[scene]
-    if not is_description(scene):
-        raise ValueError(
-            f"Unknown scene {shown(scene)}: choose one of {sorted(SCENES)}, the path of a .yaml "
-            "file, a mapping of fields, or an envs.Scene."
-        )
-    from .scene_files import scene_from  # which makes a Scene
-
-    return scene_from(scene)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from envs import HUMAN_RADIUS, NavigationEnv
 from envs.robots import get_robot
-from envs.scenes import get_scene
+from envs.scene_files import get_scene
 from torchrl_morl import evaluation
 from torchrl_morl.evaluation.shortest_path import shortest_path_length
 

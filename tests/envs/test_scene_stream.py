@@ -11,8 +11,8 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from envs import NavigationEnv
+from envs.scene_files import get_scene
 from envs.scene_stream import SceneStream
-from envs.scenes import get_scene
 
 ROWS = np.arange(4)
 NONE = np.zeros(4, dtype=bool)

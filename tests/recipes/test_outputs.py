@@ -9,7 +9,7 @@ import pytest
 
 import recipes.demo.__main__ as demo
 from recipes import film
-from recipes.demo.arguments import check_new_file, claim_folder
+from recipes.outputs import check_new_file, claim_folder
 
 
 def test_the_default_folder_is_never_used_twice(tmp_path):

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictModuleBase
-from tensordict.utils import NestedKey, unravel_key
+from tensordict.nn import TensorDictModule
 from torch import Tensor
-from torchrl.objectives import TD3Loss
 from torchrl.objectives.utils import distance_loss
 
 from torchrl_morl.modules import PreferenceInterpolator, ValueSpace, saturated_fraction
 from torchrl_morl.objectives.angle import angle_between
-from torchrl_morl.objectives.network_output import read_output
+from torchrl_morl.objectives.mo_td3_options import TargetSelection, check_amounts, check_options
+from torchrl_morl.objectives.preference_td3 import PreferenceTD3Loss
 from torchrl_morl.representation import describe
 
 if TYPE_CHECKING:
@@ -25,10 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["MOTD3Loss"]
 
 
-_TargetSelection = Literal["utility", "elementwise"]
-
-
-class MOTD3Loss(TD3Loss):
+class MOTD3Loss(PreferenceTD3Loss):
     r"""Multi-objective TD3 loss, after PD-MORL.
 
     The critics :math:`Q_i(s, \lambda, a) \in \mathbb{R}^K` learn one value per objective, the actor
@@ -146,27 +140,8 @@ class MOTD3Loss(TD3Loss):
 
     """
 
-    @dataclass
-    class _AcceptedKeys(TD3Loss._AcceptedKeys):
-        """The keys of :class:`~torchrl.objectives.TD3Loss` and two more.
-
-        Attributes:
-            preference (NestedKey): where the preference is read. Defaults to ``"preference"``.
-            pre_tanh (NestedKey): where the actor writes its pre-tanh output. Defaults to
-                ``"pre_tanh"``.
-
-        """
-
-        preference: NestedKey = "preference"
-        pre_tanh: NestedKey = "pre_tanh"
-
-    tensor_keys: _AcceptedKeys
-    default_keys = _AcceptedKeys
+    tensor_keys: PreferenceTD3Loss._AcceptedKeys
     _schedulable_buffers = frozenset({"angle_coeff_actor", "angle_coeff_critic", "pre_tanh_coeff"})
-    # TD3Loss keeps a list here, which its first instance turns into this property: before, neither
-    # subclasses nor select_out_keys could set it.
-    out_keys = TensorDictModuleBase.out_keys
-
     interpolator: PreferenceInterpolator | None
 
     def __init__(
@@ -180,49 +155,19 @@ class MOTD3Loss(TD3Loss):
         angle_coeff_actor: float = 0.0,
         angle_coeff_critic: float = 0.0,
         pre_tanh_coeff: float = 0.0,
-        target_selection: _TargetSelection = "utility",
+        target_selection: TargetSelection = "utility",
         **td3_kwargs: Any,
     ) -> None:
+        check_options(angle, target_selection, preference_space, interpolator)
         # Floats: an integer buffer would round every value that is scheduled later.
         coefficients = {
             "angle_coeff_actor": float(angle_coeff_actor),
             "angle_coeff_critic": float(angle_coeff_critic),
             "pre_tanh_coeff": float(pre_tanh_coeff),
         }
-        noise = {
-            name: float(td3_kwargs[name])
-            for name in ("policy_noise", "noise_clip")
-            if name in td3_kwargs
-        }
-        for name, value in (coefficients | noise).items():
-            if not 0 <= value < math.inf:
-                raise ValueError(f"{name} must not be negative and must be finite, got {value}.")
-        if target_selection not in get_args(_TargetSelection):
-            raise ValueError(
-                f"target_selection must be one of {get_args(_TargetSelection)}, "
-                f"got {target_selection!r}."
-            )
+        check_amounts(coefficients | td3_kwargs)
         if angle is None and (angle_coeff_actor or angle_coeff_critic):
             raise ValueError("an angle coefficient has no effect without angle=...")
-        if angle is not None and angle not in get_args(ValueSpace):
-            raise ValueError(f"angle must be None or one of {get_args(ValueSpace)}, got {angle!r}.")
-        if angle is not None and interpolator is None:
-            raise ValueError(
-                f"angle={angle!r} needs an interpolator; for the raw preference give it "
-                f"PreferenceInterpolator(torch.eye(T), identity=True, value_space={angle!r})."
-            )
-        if angle is not None and interpolator.value_space != angle:
-            raise ValueError(
-                f"angle={angle!r} compares {angle} values with directions in the "
-                f"{interpolator.value_space} space of the interpolator: give it "
-                f"value_space={angle!r}."
-            )
-        if interpolator is not None and preference_space is not None:
-            have, want = interpolator.num_tunable, preference_space.num_tunable
-            if have != want:
-                raise ValueError(
-                    f"the interpolator has {have} tunable objectives, the preference space {want}."
-                )
         super().__init__(actor_network, qvalue_network, **td3_kwargs)
         device = self._default_device
         self.preference_space = preference_space
@@ -250,36 +195,6 @@ class MOTD3Loss(TD3Loss):
         # TorchRL makes it at the first call, so that a loss that has been called has a state dict that
         # a new one refuses (as in https://github.com/pytorch/rl/issues/1594).
         self.make_value_estimator()
-
-    def _set_in_keys(self) -> None:
-        keys = self.tensor_keys
-        written = {keys.action, *self.actor_network.out_keys}
-        critic_keys = [key for key in self.qvalue_network.in_keys if key not in written]
-        state_keys = [*self.actor_network.in_keys, *critic_keys, keys.preference]
-        # What describes a state: TD3Loss knows the inputs of the actor only.
-        self._state_keys = tuple(dict.fromkeys(unravel_key(key) for key in state_keys))
-        next_keys = [keys.reward, keys.done, keys.terminated, *self._state_keys]
-        in_keys = [keys.action, *self._state_keys, *(("next", key) for key in next_keys)]
-        self._in_keys = list(dict.fromkeys(unravel_key(key) for key in in_keys))
-
-    def _first_critic(self) -> TensorDictBase:
-        # TD3Loss keeps its detached critics in a cache from the first call on (since TorchRL's
-        # https://github.com/pytorch/rl/pull/1272). A deep copy copies them as tensors of their own, and
-        # then trains its actor against a critic that never changes. Not kept here, where it would save
-        # a fortieth of the actor's loss; compiled, TorchRL does without, too.
-        return self.qvalue_network_params.detach()[0]
-
-    def __getstate__(self) -> dict[str, Any]:
-        # What vmap made of the networks knows those of this very loss, and cannot be pickled.
-        return {
-            name: value
-            for name, value in self.__dict__.items()
-            if name not in ("_vmap_qvalue_network00", "_vmap_actor_network00")
-        }
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)
-        self._make_vmap()
 
     def __repr__(self) -> str:
         coefficients = {
@@ -439,25 +354,6 @@ class MOTD3Loss(TD3Loss):
         tensordict.set(("next", keys.state_action_value), next_qvalue)
         return self.value_estimator.value_estimate(tensordict).detach()
 
-    def _all_qvalues(self, td: TensorDictBase, params: TensorDictBase) -> Tensor:
-        """Values ``[N, *B, K]`` of all critics."""
-        if not self.deactivate_vmap:
-            td = td.expand(self.num_qvalue_nets, *td.batch_size)
-            return self._value_of(self._vmap_qvalue_network00(td, params))
-        # TorchRL's pseudo-vmap, its own way without vmap, breaks the graph of torch.compile.
-        values = []
-        for critic in params.unbind(0):
-            with critic.to_module(self.qvalue_network, preserve_module_state=False):
-                values.append(self._value_of(self.qvalue_network(td.copy())))
-        return torch.stack(values)
-
-    def _value_of(self, td: TensorDictBase) -> Tensor:
-        key = self.tensor_keys.state_action_value
-        return read_output(td, key, "state_action_value", "critic", self.qvalue_network)
-
-    def _action_of(self, td: TensorDictBase) -> Tensor:
-        return read_output(td, self.tensor_keys.action, "action", "actor", self.actor_network)
-
     def _weights(self, preference: Tensor) -> Tensor:
         """Weights ``[*B, K]`` of all objectives."""
         return (
@@ -483,12 +379,3 @@ class MOTD3Loss(TD3Loss):
         if self.angle == "raw":
             return angle_between(direction, values, form="official")
         return angle_between(direction, self.interpolator.normalize(values))
-
-    def _forget_refs(self, tensordict: TensorDictBase) -> None:
-        self._clear_weakrefs(
-            tensordict,
-            "actor_network_params",
-            "qvalue_network_params",
-            "target_actor_network_params",
-            "target_qvalue_network_params",
-        )

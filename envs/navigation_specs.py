@@ -1,0 +1,43 @@
+"""Specs of what the navigation environment shows."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torchrl.data import Binary, Bounded, Composite, TensorSpec, Unbounded
+
+from .faults import Faults
+
+
+def observation_spec(n: int, num_rays: int, max_range: float, dtype: torch.dtype) -> Composite:
+    """Of what the robot senses, how an episode ended, and the true poses, for ``n`` environments."""
+    low = torch.tensor([0.0, -math.pi], dtype=dtype).expand(n, 2).clone()
+    high = torch.tensor([math.inf, math.pi + 1e-6], dtype=dtype).expand(n, 2).clone()
+    return Composite(
+        scan=Bounded(0.0, max_range, shape=(n, num_rays), dtype=dtype),
+        goal=Bounded(low=low, high=high, dtype=dtype),
+        human=Bounded(low=low.clone(), high=high.clone(), dtype=dtype),
+        success=Binary(n=1, shape=(n, 1), dtype=torch.bool),
+        collision_human=Binary(n=1, shape=(n, 1), dtype=torch.bool),
+        collision_obstacle=Binary(n=1, shape=(n, 1), dtype=torch.bool),
+        pose=Unbounded(shape=(n, 3), dtype=torch.float64),
+        human_pose=Unbounded(shape=(n, 3), dtype=torch.float64),
+        shape=(n,),
+    )
+
+
+def snapshot_specs(n: int, num_boxes: int, faults: Faults) -> dict[str, TensorSpec]:
+    """Of what an episode of ``n`` environments needs, besides its poses, to go on from there."""
+    scene = Composite(
+        goal=Unbounded(shape=(n, 2), dtype=torch.float64),
+        human_goal=Unbounded(shape=(n, 2), dtype=torch.float64),
+        boxes=Unbounded(shape=(n, num_boxes, 5), dtype=torch.float64),
+        shape=(n,),
+    )
+    specs = {"scene": scene}
+    if faults.most["latency"]:
+        specs["pending_action"] = Unbounded(shape=(n, 2), dtype=torch.float64)
+    if faults.is_random:
+        specs["faults"] = Unbounded(shape=(n, 4), dtype=torch.float64)
+    return specs
