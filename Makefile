@@ -4,6 +4,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 ARGS ?=
+# Tests of one file stay in one process, which makes what they share once.
+WORKERS ?= -n auto --maxprocesses 4 --dist loadfile
 
 RUN = $(VENV)/bin/python -m
 STAMP = $(VENV)/.installed
@@ -22,7 +24,7 @@ train: $(STAMP) ## train a policy from nothing as the shipped one, ARGS="--pd-mo
 	@$(RUN) recipes.train $(ARGS)
 
 test: $(STAMP) ## run the tests and the docstring examples, ARGS="-m slow" for the long ones
-	@OMP_NUM_THREADS=1 $(RUN) pytest -q $(ARGS)
+	@OMP_NUM_THREADS=1 $(RUN) pytest -q $(WORKERS) $(ARGS)
 
 lint: $(STAMP) ## check style and formatting
 	@$(RUN) ruff check .

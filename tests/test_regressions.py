@@ -41,10 +41,10 @@ pytestmark = pytest.mark.benchmark
 # `pytest tests/test_regressions.py -k budget`: a failure tells the numbers. More than before needs a
 # reason; less is a new budget. They are those of the versions in constraints.txt.
 BUDGET = {
-    "value_loss": (297, 201),
-    "actor_loss": (138, 104),
+    "value_loss": (306, 210),  # rewards of several steps, prioritized replay
+    "actor_loss": (159, 107),  # no cache of detached critics: deep copies
     "sample and relabel": (24, 23),
-    "transforms of a step": (57, 49),
+    "transforms of a step": (58, 50),  # scans that are stored stay as they are
 }
 
 SPACE = make_preference_space(with_demonstrations=True)
