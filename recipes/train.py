@@ -21,7 +21,7 @@ from typing import Any
 from .arguments import Parser, episodes, existing_folder
 from .stages import Record, lock, run, unfinished
 from .training.quoting import quoted
-from .training.run_folder import claim, final_policy
+from .training.run_folder import claim, final_policy, is_over, remove_if_refused
 
 _RUNS = Path("runs/train")
 _MODULES = {
@@ -240,6 +240,11 @@ def stage(record: Record, name: str, command: Callable[[Path], list[str]]) -> Pa
     if before is not None and record.is_finished(name):
         return before
     folder = record.folder / _FOLDERS[name]
+    # It may have been killed before it had made anything, or between its end and the record of that.
+    remove_if_refused(folder)
+    if before is not None and is_over(folder):
+        record.finish(name, 0.0)
+        return folder
     if (folder / ".hydra" / "overrides.yaml").is_file():
         # It was cut short: it goes on in its folder, as it was configured.
         given = [command(folder)[0], f"resume={quoted(folder)}"]

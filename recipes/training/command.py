@@ -193,6 +193,7 @@ class _Command:
         with (
             mock.patch.object(sys, "argv", argv),
             mock.patch.dict(os.environ, {"HYDRA_FULL_ERROR": "1"}),
+            mock.patch.object(hydra.core.utils, "_save_config", _save_config),
         ):
             task()
 
@@ -238,6 +239,12 @@ class _Command:
 def _composing(folder: Path) -> Iterator[None]:
     with initialize_config_dir(str(folder), version_base="1.3"):
         yield
+
+
+def _save_config(cfg: DictConfig, filename: str, output_dir: Path) -> None:
+    """Hydra's, but whole or not at all: a training that goes on writes over what it goes on with."""
+    output_dir.mkdir(parents=True, exist_ok=True)
+    run_folder.write_atomically(output_dir / filename, OmegaConf.to_yaml(cfg))
 
 
 def _register_new_run(make: Callable[[Path], Path]) -> None:

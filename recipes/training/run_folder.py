@@ -104,6 +104,27 @@ def write_atomically(path: Path, text: str) -> None:
         part.unlink(missing_ok=True)
 
 
+def is_over(run_dir: Path) -> bool:
+    """Whether a training has made the last thing that it makes: a reward model, or its last checkpoint.
+
+    A checkpoint is there whole or not at all, and is the last thing that a step writes.
+    """
+    if (run_dir / "reward_model").is_dir():
+        return True
+    config = run_dir / ".hydra" / "config.yaml"
+    saved = [
+        int(path.name.rpartition("-")[2])
+        for path in (run_dir / "checkpoints").glob("checkpoint-*")
+        if path.name.rpartition("-")[2].isdigit()
+    ]
+    if not saved or not config.is_file():
+        return False
+    import yaml  # the stages alone need it
+
+    collector = (yaml.safe_load(config.read_text(encoding="utf-8")) or {}).get("collector", {})
+    return max(saved) >= collector.get("total_frames", float("inf"))
+
+
 def write_run_info(run_dir: Path) -> None:
     """Versions and git state, beside the resolved configuration that Hydra writes.
 
