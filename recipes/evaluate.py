@@ -73,7 +73,6 @@ def main() -> None:
     torch.set_num_threads(1)
     try:
         policy = load_policy(args.policy)
-        setting = choose(policy.card, scene=args.scene, robot=args.robot, drive=args.drive)
         if args.preferences:
             preferences = parse_preferences(args.preferences, policy.preference_space)
         elif args.grid:
@@ -85,6 +84,8 @@ def main() -> None:
                 policy.preference_space, last, policy.preference_space.tunable[-2:][0]
             )
         faults = Faults(args.range_noise, args.dropout, args.velocity_noise, args.latency)
+        # Last, as it prints: what is refused says nothing else.
+        setting = choose(policy.card, scene=args.scene, robot=args.robot, drive=args.drive)
     except (OSError, ValueError) as error:
         parser.error(str(error))
     with tqdm.tqdm(total=len(preferences), unit="preference") as progress:

@@ -11,11 +11,12 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensordict import TensorDict
-from torchrl.checkpoint import Checkpoint, CheckpointRotation
+from torchrl.checkpoint import Checkpoint
 from torchrl.data import Bounded
 
 import recipes.evaluate
 from envs import NavigationEnv
+from recipes.training.checkpoint import SafeStateAdapter
 from recipes.training.gradients import use_bfloat16
 from tests._command import run
 from torchrl_morl import PreferenceSpace
@@ -117,18 +118,20 @@ def test_both_loggers_hold_every_metric(trained):
     assert [scalar.value for scalar in events.Scalars("train/updates")] == [4, 8, 12, 16, 20]
 
 
-def test_last_and_best_checkpoint_can_be_loaded(trained):
-    folder, _ = trained
-    rotation = CheckpointRotation(folder / "checkpoints", keep_last=1, keep_best=("score", "max"))
-    assert Checkpoint.manifest(rotation.latest())["metadata"].keys() == {"score"}
-    assert rotation.latest().name.endswith("960")
+def test_best_policy_is_named_at_the_end(trained):
+    folder, result = trained
     scores = {
-        path.name: json.loads((path / "policy.json").read_text())["card"]["score"]
+        path: json.loads((path / "policy.json").read_text())["card"]["score"]
         for path in (folder / "policies").iterdir()
     }
     best = max(scores, key=scores.get)
-    assert rotation.best().name.endswith(best)
-    assert len(rotation.checkpoints()) == len({best, "000000960"})
+    assert f"best policy: {best} (score {scores[best]:.2f})" in result.stdout
+
+
+def test_last_checkpoint_can_be_loaded(trained):
+    folder, _ = trained
+    (last,) = (folder / "checkpoints").iterdir()
+    assert last.name.endswith("960")
 
     # The checkpoint holds the averaged actor that is in the policy's file, beside the latest one.
     class Sink:
@@ -138,10 +141,15 @@ def test_last_and_best_checkpoint_can_be_loaded(trained):
         def state_dict(self):
             return {}
 
-    loss, averaged = Sink(), Sink()
-    checkpoint = Checkpoint(loss=loss, averaged=averaged)
-    checkpoint.load(rotation.latest(), components=["loss", "averaged"], strict="warn")
+    loss, averaged, count = Sink(), Sink(), Sink()
+    checkpoint = Checkpoint()
+    for name, sink in (("loss", loss), ("averaged", averaged), ("count", count)):
+        checkpoint.register(name, sink, adapter=SafeStateAdapter())
+    result = checkpoint.load(last, strict="warn")
+    assert not result.missing and not result.incompatible
     policy = load_policy(folder / "policies" / "000000960")
+    assert count.state["frames"] == 960 and count.state["updates"] == 20
+    assert count.state["score"] == policy.card["score"]
     for name, value in policy.actor.state_dict().items():
         assert torch.equal(averaged.state[f"module.{name}"], value)
     weight = policy.actor.state_dict()["module.0.module.0.weight"]
@@ -288,8 +296,12 @@ def evaluate(monkeypatch, *args: object) -> None:
     recipes.evaluate.main()
 
 
-def check_table(text: str) -> None:
-    header, *rows = text.splitlines()
+def check_table(text: str, setting: str) -> list[str]:
+    """Returns the notes between the setting and the table."""
+    lines = text.splitlines()
+    assert lines[0] == setting
+    begin = next(i for i, line in enumerate(lines) if line.split()[0] == "distance")
+    header, *rows = lines[begin:]
     assert header.split()[:3] == ["distance", "efficiency", "success"]
     weights = [tuple(map(float, row.split()[:2])) for row in rows[:3]]
     assert weights == [(1.0, 0.0), (0.25, 0.75), (0.0, 1.0)]
@@ -297,6 +309,7 @@ def check_table(text: str) -> None:
     for row in rows[:3]:  # success, collisions with the human and with boxes, timeouts
         shares = [float(part.split()[-1]) for part in row.split(" %")[:4]]
         assert sum(shares) == pytest.approx(100)
+    return lines[1:begin]
 
 
 PREFERENCES = ("--episodes", 4, "--preferences", "1,0", "0.25,0.75", "0,1")
@@ -305,13 +318,16 @@ PREFERENCES = ("--episodes", 4, "--preferences", "1,0", "0.25,0.75", "0,1")
 def test_evaluation_prints_one_row_per_preference(policy):
     result = run("recipes.evaluate", "--policy", policy, "--scene", "moving_human", *PREFERENCES)
     assert result.returncode == 0, result.stderr
-    check_table(result.stdout)
+    setting = "scene moving_human, robot turtlebot2, drive planar, goal radius 0.3 m"
+    assert check_table(result.stdout, setting) == []
 
 
 def test_evaluation_of_another_scene_and_robot(policy, monkeypatch, capsys):
     scene = ("--scene", "corridor", "--robot", "hsr")
     evaluate(monkeypatch, "--policy", policy, *scene, *PREFERENCES)
-    check_table(capsys.readouterr().out)
+    setting = "scene corridor, robot hsr, drive planar, goal radius 0.3 m"
+    (note,) = check_table(capsys.readouterr().out, setting)
+    assert note.startswith("note: --robot hsr is not what the policy was trained with, turtlebot2")
 
 
 @pytest.mark.parametrize(
@@ -321,11 +337,11 @@ def test_evaluation_of_another_scene_and_robot(policy, monkeypatch, capsys):
         (["--preferences", "1,0", "1.5,-0.5"], "preference[1] = -0.5 for objective 'efficiency'"),
         (["--preferences", "1,0", "1"], "--preferences 1: preference must have shape [..., 2]"),
         (["--preferences", "a,b"], "--preferences a,b: could not convert string to float: 'a'"),
-        (["--scene", "nowhere"], "argument --scene: invalid choice: 'nowhere'"),
-        (["--robot", "broom"], "argument --robot: invalid choice: 'broom'"),
+        (["--scene", "nowhere"], "Unknown scene 'nowhere': choose one of ['corridor', "),
+        (["--robot", "broom"], "Unknown robot 'broom': choose one of ['hsr', 'turtlebot2']"),
         (["--drive", "legs"], "argument --drive: invalid choice: 'legs'"),
-        (["--episodes", "0"], "--episodes must be at least 1, got 0"),
-        (["--dropout", "2"], "dropout is a probability in [0, 1], got 2.0"),
+        (["--episodes", "0"], "--episodes: must be a whole number from 1 to 100000, got '0'"),
+        (["--dropout", "2"], "argument --dropout: must be a number from 0 to 1, got '2'"),
         (["--policy", "nowhere"], "policy.safetensors not found: a policy is a folder with"),
     ],
 )
@@ -335,9 +351,9 @@ def test_evaluation_refuses_with_one_line(policy, args, message, monkeypatch, ca
     assert stop.value.code == 2
     printed = capsys.readouterr()
     assert printed.out == ""
-    last = printed.err.splitlines()[-1]
-    assert last.startswith("evaluate.py: error: ")
-    assert message in last
+    (line,) = printed.err.splitlines()
+    assert line.startswith("evaluate.py: error: ")
+    assert message in line
 
 
 def test_preferences_are_read_in_the_order_of_the_tunable_objectives():

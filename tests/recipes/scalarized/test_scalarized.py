@@ -124,20 +124,17 @@ def test_policy_is_evaluated_by_the_common_command(trained, monkeypatch, capsys)
     # Two episodes of an untrained policy last 300 steps, which a test need not see.
     monkeypatch.setattr(recipes.evaluate, "sweep", partial(sweep, max_episode_steps=10))
     recipes.evaluate.main()
-    header, *rows = capsys.readouterr().out.splitlines()
+    setting, header, *rows = capsys.readouterr().out.splitlines()
+    assert setting == "scene static, robot turtlebot2, drive planar, goal radius 0.3 m"
     assert header.split()[:3] == ["distance", "efficiency", "success"]
     if name == "core":
         assert rows[0].split()[2:] == rows[1].split()[2:]
 
 
 def test_reward_model_adds_its_objective(tmp_path):
-    cells = (8,)
     save_reward_model(
         tmp_path / "model",
-        RewardModel(),
-        in_features=OBSERVATION_SIZE + 2,
-        num_cells=cells,
-        num_members=1,
+        RewardModel(in_features=OBSERVATION_SIZE + 2, num_cells=(8,), num_members=1),
         card={"demonstrator": {"radius": 1.0, "side": "left", "speed": 0.5}},
     )
     folder = train("sac", tmp_path / "run", f"demonstrations.reward_model={tmp_path / 'model'}")
