@@ -11,6 +11,8 @@ from recipes.results.files import write_evaluation
 from recipes.results.systems import SPACE
 
 STEPS, SCENES = 3, 4
+CONTACT = 0.5
+"""Of robot and human, metres between their centres."""
 
 
 def preferences(ignored: bool) -> np.ndarray:
@@ -41,6 +43,7 @@ def fabricate(
     demo, distance, efficiency = (weights[None, :, entry, None] for entry in range(3))
     success = np.ones(shape)
     success.reshape(-1)[:failures] = 0
+    human = 0.8 + 0.1 * scene + shift + spread + 0.5 * distance
     values = {
         "success": success,
         "collision_human": np.zeros(shape),
@@ -49,7 +52,8 @@ def fabricate(
         "time": np.where(success == 1, 20 + scene + shift + spread - 2 * efficiency, np.nan),
         "frechet": 1.5 + 0.1 * scene + shift + spread - demo,
         "demonstration_free": scene % 2,
-        "min_human_distance": 0.8 + 0.1 * scene + shift + spread + 0.5 * distance,
+        "min_human_distance": human,
+        "min_surface_distance": human - CONTACT,
         "min_clearance": 0.3 + 0.1 * scene + spread,
         "direct_distance": 8.3 + scene,
         "straight_time": 16 + 2 * scene,

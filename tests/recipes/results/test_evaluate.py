@@ -263,7 +263,10 @@ def test_members_that_do_not_belong_together(tmp_path):
     ("arguments", "message"),
     [
         (["x=reference:straight", "--condition", "rain"], "Unknown condition 'rain'"),
-        (["x=reference:straight", "--episodes", "0"], "--episodes must be at least 1"),
+        (
+            ["x=reference:straight", "--episodes", "0"],
+            "argument --episodes: must be a whole number from 1 to 100000, got '0'",
+        ),
         (["x=nowhere"], "not found"),
     ],
 )

@@ -89,6 +89,10 @@ def test_steering_and_indicators(evaluations):
     assert values.shape == (3 * STEPS, 3) and (values >= 0).all() and (values <= 1).all()
     # demo = 1: Frechet distances of 1.0 to 1.3 m out of 3.
     assert values[evaluations["NH"].corner("demo"), 0] == pytest.approx(1 - 1.15 / 3)
+    # distance = 1: 1.8 to 2.1 m between the centres, of which 0.5 m are contact; 2 m are enough.
+    assert values[evaluations["NH"].corner("distance"), 1] == pytest.approx(
+        np.mean([1.3 / 1.5, 1.4 / 1.5, 1, 1])
+    )
     found = indicators(evaluations["NH"])
     assert 0 < found["hypervolume"] < 1
     assert found["expected utility"] <= found["expected utility, best"] <= 1

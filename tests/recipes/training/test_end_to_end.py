@@ -101,7 +101,9 @@ def test_a_mistake_is_one_line_from_a_shell(module, tmp_path):
 
 
 def test_ctrl_c_while_a_command_still_imports_is_one_line():
-    code = "import os, signal; os.kill(os.getpid(), signal.SIGINT)"
+    # Where the tests run in the background of a script, Ctrl-C is ignored, and children inherit that.
+    code = "import os, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code += "os.kill(os.getpid(), signal.SIGINT)"
     # What `python -m` does while it looks for the module, then Ctrl-C.
     program = f"import sys; sys.argv = ['-m']; import recipes; sys.argv = ['x']; {code}"
     result = subprocess.run(
