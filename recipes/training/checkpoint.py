@@ -201,7 +201,15 @@ class Counters:
         return dict(vars(self))
 
     def load_state_dict(self, state: Mapping[str, float]) -> None:
-        """Take them over."""
+        """Take them over.
+
+        Raises:
+            ValueError: unless they are the same numbers: one that is missing would stand at its start.
+        """
+        if state.keys() != vars(self).keys() or not all(
+            isinstance(value, int | float) for value in state.values()
+        ):
+            raise ValueError(f"it must say {', '.join(vars(self))}, it says {state}.")
         self.__dict__.update(state)
 
 
@@ -255,6 +263,11 @@ class Checkpoints:
             shutil.rmtree(unfinished, ignore_errors=True)
         latest = self.rotation.latest()
         if latest is None:
+            # TorchRL passes over what it cannot read: the training would begin anew, in this folder.
+            if unreadable := sorted(self.folder.glob("checkpoint-*")):
+                raise ValueError(
+                    f"{unreadable[-1]} is no checkpoint that can be read: remove it to begin anew."
+                )
             return False
         try:
             self.checkpoint.load(latest)

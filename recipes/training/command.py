@@ -204,11 +204,17 @@ class _Command:
                 cfg = compose(self.config_name, [*_QUIET, *overrides], return_hydra_config=True)
                 config = OmegaConf.masked_copy(cfg, [name for name in cfg if name != "hydra"])
                 validate(self.schema, OmegaConf.to_container(config, resolve=True))
-        folder = Path(cfg.hydra.sweep.dir if multirun else cfg.hydra.run.dir)
         resumed = config.get("resume")
+        if resumed is not None and (
+            multirun or Path(cfg.hydra.run.dir).resolve() != Path(resumed).resolve()
+        ):
+            raise ConfigurationError(
+                f"resume={resumed} goes on in its own folder: leave out hydra.run.dir and --multirun."
+            )
+        folder = Path(cfg.hydra.sweep.dir if multirun else cfg.hydra.run.dir)
         if folder not in _new_runs.values():
             self.was_there = folder.exists()
-            self.was_empty = resumed is None or Path(resumed).resolve() != folder.resolve()
+            self.was_empty = resumed is None
             if self.was_empty:
                 run_folder.check_new(folder)
         self.run_dir = folder

@@ -35,11 +35,18 @@ def make_loggers(cfg: DictConfig, run_dir: Path, *, begin: int = 0) -> list[Logg
 
 
 def forget_later_rows(folder: Path, last: int) -> None:
-    """Drop the rows of a CSV logger that are of later steps than the last one that counts."""
+    """Drop the rows of a CSV logger that are of later steps than the last one that counts.
+
+    Raises:
+        ValueError: for a file that it has not written.
+    """
     for file in folder.glob("scalars/**/*.csv"):
-        rows = file.read_text().splitlines(keepends=True)
-        # A killed process may have written half a row.
-        kept = [row for row in rows if row.endswith("\n") and float(row.split(",")[0]) <= last]
+        try:
+            rows = file.read_text().splitlines(keepends=True)
+            # A killed process may have written half a row.
+            kept = [row for row in rows if row.endswith("\n") and float(row.split(",")[0]) <= last]
+        except ValueError as error:
+            raise ValueError(f"{file} was not written by a run: {error}") from error
         if len(kept) < len(rows):
             partial = file.with_name(f".{file.name}")
             partial.write_text("".join(kept))

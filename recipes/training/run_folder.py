@@ -129,12 +129,19 @@ def write_run_info(run_dir: Path) -> None:
     """Versions and git state, beside the resolved configuration that Hydra writes.
 
     ``run.json`` keeps what it holds: a start in a folder that has one is added to its list ``resumed``.
+
+    Raises:
+        ValueError: if it holds something else.
     """
     path = run_dir / "run.json"
     if path.exists():
-        info = json.loads(path.read_text())
-        resumed = info.setdefault("resumed", [])
-        resumed.append(_start(run_dir, f"uncommitted_{len(resumed) + 2}.diff"))
+        try:
+            info = json.loads(path.read_text())
+            resumed = info.setdefault("resumed", [])
+            count = len(resumed)
+        except (ValueError, AttributeError, TypeError) as error:
+            raise ValueError(f"{path} was not written by a run: {error}") from error
+        resumed.append(_start(run_dir, f"uncommitted_{count + 2}.diff"))
     else:
         info = _start(run_dir, "uncommitted.diff")
     write_atomically(path, json.dumps(info, indent=2) + "\n")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from torchrl.data import Bounded
 from envs import NavigationEnv
 from recipes.mo_ppo import mo_ppo
 from recipes.mo_ppo.optimizers import make_schedule
+from recipes.training.checkpoint import SafeStateAdapter
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.deploy import load_policy, save_policy, save_reward_model
@@ -143,11 +145,9 @@ def test_critic_alone_learns_whole_returns_in_more_passes(polished, tmp_path, mo
 def test_anchor_holds_a_policy_with_demonstrations(tmp_path):
     objectives = ("core", "demo", *SPACE.tunable)
     start = small_policy(tmp_path / "start", PreferenceSpace(objectives, static={"core": 1.0}))
-    size = OBSERVATION_SIZE + 2
     torch.manual_seed(0)
-    model = RewardModel(in_features=size, num_cells=(8,), num_members=1)
-    sizes = {"in_features": size, "num_cells": (8,), "num_members": 1}
-    save_reward_model(tmp_path / "model", model, **sizes, card={})
+    model = RewardModel(in_features=OBSERVATION_SIZE + 2, num_cells=(8,), num_members=1)
+    save_reward_model(tmp_path / "model", model, card={})
     moved = []
     for coefficient in (0.0, 1e6):
         folder = run(
@@ -195,68 +195,94 @@ def test_trains_in_bfloat16(polished, tmp_path, monkeypatch):
     assert not all(moved)
 
 
-def test_goes_on_from_the_last_checkpoint(polished, tmp_path):
-    start, folder = polished
+@pytest.fixture
+def begun(polished, tmp_path) -> Path:
+    """A run folder of its own, whose training is over."""
+    return shutil.copytree(polished[1], tmp_path / "begun")
+
+
+def go_on(folder: Path, *overrides: str) -> None:
+    run_here(mo_ppo.main, f"resume={folder}", *overrides)
+
+
+def refused(folder: Path, monkeypatch, capsys, *overrides: str) -> str:
+    """The line that a user reads who cannot go on with a run."""
+    monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
+    monkeypatch.setattr(sys, "argv", ["recipe.py", f"resume={folder}", *overrides])
+    with pytest.raises(SystemExit) as stop:
+        mo_ppo.main()
+    assert stop.value.code in (1, 2)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    return line
+
+
+class Sink:
+    """Holds what was saved."""
+
+    def load_state_dict(self, state):
+        self.state = state
+
+    def state_dict(self):
+        return {}
+
+
+def saved_state(checkpoint: Path, name: str) -> dict:
+    sink = Sink()
+    reader = Checkpoint()
+    reader.register(name, sink, adapter=SafeStateAdapter())
+    assert not reader.load(checkpoint, strict="warn").incompatible
+    return sink.state
+
+
+def test_goes_on_from_the_last_checkpoint(begun):
+    before = {path: path.read_bytes() for path in begun.glob("policies/*/*")}
     # The actor waits for the critic: what is saved at the end is what was loaded.
-    more = ("collector.total_frames=192", "optim.critic_batches=100", f"resume={folder}")
-    resumed = run(tmp_path / "run", start, *more)
-    assert [path.name for path in (resumed / "policies").iterdir()] == ["000000192"]
-    weights = [
-        load_policy(path).actor.state_dict()
-        for path in (start, folder / "policies" / "000000128", resumed / "policies" / "000000192")
-    ]
+    go_on(begun, "collector.total_frames=192", "optim.critic_batches=100")
+    names = ["000000064", "000000128", "000000192"]
+    assert sorted(path.name for path in (begun / "policies").iterdir()) == names
+    assert before == {path: path.read_bytes() for path in before}
+    weights = [load_policy(begun / "policies" / name).actor.state_dict() for name in names]
     for name, value in weights[2].items():
         torch.testing.assert_close(value, weights[1][name], rtol=0, atol=0)
     assert any(not torch.equal(value, weights[0][name]) for name, value in weights[2].items())
+    # What was given at the start still counts.
+    config = load_policy(begun / "policies" / "000000192").card["config"]
+    assert (config["env"]["num_envs"], config["optim"]["batch_size"]) == (4, 16)
     # And so does the critic's optimizer: 2 updates a pass over a batch of 32 frames. Of the first run
     # one batch in three passes and three in one; of the second, whose critic is alone, two in three.
-    rotation = CheckpointRotation(resumed / "checkpoints", keep_last=1)
-    manifest = Checkpoint.manifest(rotation.latest())
-    assert manifest["metadata"]["frames"] == 192
-    assert manifest["metadata"]["schedule"] == 192
-
-    class Sink:
-        def load_state_dict(self, state):
-            self.state = state
-
-        def state_dict(self):
-            return {}
-
-    critic = Sink()
-    Checkpoint(critic=critic).load(rotation.latest(), components=["critic"], strict="warn")
-    assert {int(entry["step"]) for entry in critic.state["state"].values()} == {
-        2 * (3 + 3) + 2 * (3 + 3)
-    }
+    (last,) = (begun / "checkpoints").iterdir()
+    assert saved_state(last, "count") == {"frames": 192, "begin": 192}
+    steps = {int(entry["step"]) for entry in saved_state(last, "critic")["state"].values()}
+    assert steps == {2 * (3 + 3) + 2 * (3 + 3)}
 
 
 def test_checkpoints_say_where_the_schedule_begins(polished, tmp_path, monkeypatch):
-    start, folder = polished
+    start, _ = polished
     saved, save = [], CheckpointRotation.save
 
-    def record(self, *args, metadata, **kwargs):
-        saved.append((metadata["frames"], metadata["schedule"]))
-        return save(self, *args, metadata=metadata, **kwargs)
+    def record(self, *args, **kwargs):
+        path = save(self, *args, **kwargs)
+        count = saved_state(path, "count")
+        saved.append((count["frames"], count["begin"]))
+        return path
 
     monkeypatch.setattr(CheckpointRotation, "save", record)
-    run(tmp_path / "run", start)
+    folder = run(tmp_path / "run", start)
     # Cut short anywhere it goes on with its own schedule; what follows its end begins another.
     assert saved == [(64, 0), (128, 128)]
-    run(tmp_path / "more", start, f"resume={folder}", "collector.total_frames=256")
+    go_on(folder, "collector.total_frames=256")
     assert saved[2:] == [(192, 128), (256, 256)]
 
 
-def test_refuses_a_checkpoint_that_does_not_say_where_it_stands(polished, tmp_path):
-    start, folder = polished
-    old = tmp_path / "old"
-    shutil.copytree(folder / "checkpoints", old / "checkpoints")
-    for path in old.glob("checkpoints/*/manifest.json"):
-        manifest = json.loads(path.read_text())
-        del manifest["metadata"]["schedule"]
-        path.write_text(json.dumps(manifest))
-    more = (f"resume={old}", "collector.total_frames=192")
-    with pytest.raises(ValueError, match=r"its checkpoint lacks \['schedule'\]"):
-        run(tmp_path / "run", start, *more)
-    assert not (tmp_path / "run" / "policies").exists()
+@pytest.mark.parametrize("count", [{"frames": 128}, {"frames": 128, "begin": "soon"}])
+def test_refuses_a_checkpoint_that_does_not_say_where_it_stands(begun, count, monkeypatch, capsys):
+    (state,) = begun.glob("checkpoints/*/components/*-count/state.json")
+    state.write_text(json.dumps({"dict": list(count.items())}))
+    line = refused(begun, monkeypatch, capsys, "collector.total_frames=192")
+    assert "does not fit this training" in line
+    assert f"it must say frames, begin, it says {count}." in line
+    assert not (begun / "policies" / "000000192").exists()
 
 
 class Bomb:
@@ -269,23 +295,59 @@ class Bomb:
         return Path.touch, (self.path,)
 
 
-def test_a_pickle_in_a_checkpoint_is_not_opened(polished, tmp_path):
-    start, folder = polished
-    other = tmp_path / "other"
-    shutil.copytree(folder / "checkpoints", other / "checkpoints")
-    for meta in list(other.rglob("meta.json")):
-        planted = meta.parent / "planted"
-        planted.mkdir()
-        (planted / "meta.json").write_text(
-            '{"_type": "<class \'tensordict.tensorclass.NonTensorData\'>"}'
+READ = (
+    ".hydra/overrides.yaml",
+    "run.json",
+    "log_csv/scalars/train/failed.csv",
+    "checkpoints/*/manifest.json",
+    *(
+        f"checkpoints/*/components/*-{name}/state.{ending}"
+        for name in (
+            *("loss", "advantage", "averaged", "actor", "critic"),
+            *("collector", "count", "generators"),
         )
-        (planted / "other.pickle").write_bytes(pickle.dumps(Bomb(tmp_path / "trace")))
-        values = json.loads(meta.read_text())
-        values["planted"] = {"type": "TensorDict"}
-        meta.write_text(json.dumps(values))
-    with pytest.raises(ValueError, match="it is not opened"):
-        run(tmp_path / "run", start, f"resume={other}", "collector.total_frames=192")
-    assert not (tmp_path / "trace").exists()
+        for ending in ("json", "safetensors")
+    ),
+)
+"""What a resume reads of a run folder."""
+
+
+@pytest.mark.parametrize("name", READ)
+def test_a_pickle_in_a_run_is_not_opened(begun, name, tmp_path, monkeypatch, capsys):
+    (file,) = begun.glob(name)
+    trace = tmp_path / "trace"
+    for plant in (
+        lambda: file.write_bytes(pickle.dumps(Bomb(trace))),
+        lambda: torch.save({"state": Bomb(trace)}, file),
+        lambda: file.write_text(f"!!python/object/apply:pathlib.Path.touch [{trace}]\n"),
+    ):
+        plant()
+        line = refused(begun, monkeypatch, capsys, "collector.total_frames=192")
+        assert str(begun) in line
+        assert not trace.exists()
+    assert not (begun / "policies" / "000000192").exists()
+
+
+def test_a_checkpoint_in_a_format_with_pickles_is_not_opened(begun, tmp_path, monkeypatch, capsys):
+    trace = tmp_path / "trace"
+    (manifest,) = begun.glob("checkpoints/*/manifest.json")
+    content = json.loads(manifest.read_text())
+    for record in content["components"].values():
+        record.update(adapter="torchrl.state_dict", files=["state.pt"])
+        torch.save({"state": Bomb(trace)}, manifest.parent / record["path"] / "state.pt")
+    manifest.write_text(json.dumps(content))
+    line = refused(begun, monkeypatch, capsys, "collector.total_frames=192")
+    assert "does not fit this training" in line
+    assert not trace.exists()
+
+
+def test_all_that_a_checkpoint_holds_is_safe_to_read(begun):
+    files = {path.name for path in begun.glob("checkpoints/*/components/*/*")}
+    assert files == {"state.json", "state.safetensors"}
+    components = {path.name.split("-")[1] for path in begun.glob("checkpoints/*/components/*")}
+    assert components == {
+        name.split("*-")[1].split("/")[0] for name in READ if "components" in name
+    }
 
 
 def test_the_rate_falls_over_all_frames_of_a_training():
@@ -341,7 +403,10 @@ def test_the_rate_falls_over_all_frames_of_a_training():
         ("optim.critic_batches=-1", "critic_batches must be at least 0, got -1"),
         ("env.observe_human=false", "observations of 36 entries, here they have 33"),
         ("policy=nowhere", "nowhere"),
-        ("resume=nowhere", "resume=nowhere has no checkpoint"),
+        (
+            "resume=nowhere",
+            "resume=nowhere is no run: it must be the folder of one that has begun.",
+        ),
     ],
 )
 def test_refuses_bad_configurations(polished, tmp_path, override, message):
@@ -351,11 +416,20 @@ def test_refuses_bad_configurations(polished, tmp_path, override, message):
     assert not (tmp_path / "run" / "policies").exists()
 
 
-def test_refuses_to_resume_what_is_done(polished, tmp_path):
-    start, folder = polished
+def test_refuses_to_resume_what_is_done(begun):
+    files = {path: path.read_bytes() for path in begun.rglob("*") if path.is_file()}
     with pytest.raises(ValueError, match="has seen 128 frames already"):
-        run(tmp_path / "run", start, f"resume={folder}")
-    assert not (tmp_path / "run" / "policies").exists()
+        go_on(begun)
+    after = {path: path.read_bytes() for path in begun.rglob("*") if path.is_file()}
+    changed = {path.relative_to(begun).parts[0] for path in after if after[path] != files.get(path)}
+    assert changed <= {".hydra"} and after.keys() == files.keys()
+
+
+def test_refuses_to_resume_in_another_folder(polished, tmp_path):
+    start, folder = polished
+    with pytest.raises(ValueError, match=r"goes on in its own folder: leave out hydra\.run\.dir"):
+        run(tmp_path / "run", start, f"resume={folder}", "collector.total_frames=192")
+    assert not (tmp_path / "run").exists()
 
 
 def test_refuses_a_policy_of_other_objectives(tmp_path):
