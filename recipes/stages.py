@@ -21,6 +21,19 @@ from recipes.training.run_folder import write_atomically
 _PR_SET_PDEATHSIG = 1
 
 
+def refuse_places(option: str, overrides: Sequence[str]) -> None:
+    """Refuse overrides of a stage that say where it runs: the whole has one place.
+
+    Raises:
+        ValueError: in one line.
+    """
+    for one in overrides:
+        if one.lstrip("+~").startswith(("hydra.run", "hydra.sweep", "resume=")):
+            raise ValueError(
+                f"{option} {one}: the stages run in the folder of --output, leave it out."
+            )
+
+
 def run(name: str, command: Sequence[str]) -> float:
     """Run ``python -m command`` as a stage and return its wall time in seconds.
 

@@ -12,11 +12,13 @@ their own: ``--drex`` and ``--pd-morl`` pass overrides on to them.
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import json
 import os
 import time
 from pathlib import Path
+from types import ModuleType
 
 import matplotlib
 
@@ -25,21 +27,26 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import torch
 import tqdm
+from hydra.errors import HydraException
 
 from envs import HUMAN_RADIUS, SCENES, get_robot
 from envs.demonstrations import import_demonstrations
 from torchrl_morl.data import load_demonstrations, save_demonstrations
 from torchrl_morl.deploy import load_policy
 
+from . import stages
 from .arguments import Parser, episodes, existing_file
+from .drex import schema as drex_schema
 from .evaluation import style
 from .evaluation.setting import choose
 from .evaluation.sweep import Sweep, sweep
 from .objectives import DEMO, known
 from .outputs import claim_folder
-from .stages import run
+from .pd_morl import schema as morl_schema
+from .training.command import check as check_recipe
 from .training.quoting import quoted
 from .training.run_folder import claim, final_policy
+from .training.user_errors import error_line
 
 
 def main() -> None:
@@ -59,10 +66,15 @@ def main() -> None:
     parser.add_argument("--pd-morl", nargs="*", default=[], help="overrides of recipes/pd_morl")
     args = parser.parse_args()
     started = time.perf_counter()
+    base = Path("runs/teach")
     try:
         robot = get_robot(args.robot)
         drives, report = import_demonstrations(args.file, args.boxes, robot=robot)
-        base = Path("runs/teach")
+        planned = base / "new" if args.output is None else args.output.resolve()
+        stages.refuse_places("--drex", args.drex)
+        stages.refuse_places("--pd-morl", args.pd_morl)
+        check(drex_command(args, planned), "--drex", drex_schema, planned)
+        check(morl_command(args, planned), "--pd-morl", morl_schema, planned)
         output = claim(base) if args.output is None else claim_folder(args.output, base)
     except (OSError, ValueError) as error:
         parser.error(str(error))
@@ -74,36 +86,9 @@ def main() -> None:
         drives,
         {"source": args.file.name, "robot": args.robot, **dataclasses.asdict(report)},
     )
-
-    threads = min(2, len(os.sched_getaffinity(0)))
-    preset = [] if args.full else ["preset=quick"]
-    drex, morl = output / "drex", output / "pd_morl"
-    run(
-        "D-REX",
-        [
-            "recipes.drex.drex",
-            *preset,
-            f"hydra.run.dir={quoted(drex)}",
-            f"demonstrations.dataset={quoted(dataset)}",
-            f"env.robot={quoted(args.robot)}",
-            f"torch_threads={threads}",
-            *args.drex,
-        ],
-    )
-    run(
-        "PD-MORL",
-        [
-            "recipes.pd_morl.pd_morl",
-            *preset,
-            f"hydra.run.dir={quoted(morl)}",
-            f"demonstrations.reward_model={quoted(drex / 'reward_model')}",
-            f"demonstrations.dataset={quoted(dataset)}",
-            f"env.robot={quoted(args.robot)}",
-            f"compute.torch_threads={threads}",
-            *args.pd_morl,
-        ],
-    )
-    policy = final_policy(morl)
+    stages.run("D-REX", drex_command(args, output))
+    stages.run("PD-MORL", morl_command(args, output))
+    policy = final_policy(output / "pd_morl")
     results = compare(policy, dataset, episodes=args.episodes)
     picture = output / "style.png"
     draw(picture, results)
@@ -117,6 +102,55 @@ def main() -> None:
             f"warning: at demonstration = 1 only {100 * results.likeness:.0f} % pass on the "
             f"{results.shown.side} as shown: record more drives, or train longer (--full)."
         )
+
+
+def drex_command(args: argparse.Namespace, output: Path) -> list[str]:
+    """What distils the drives in ``output`` into a reward model."""
+    return [
+        "recipes.drex.drex",
+        f"hydra.run.dir={quoted(output / 'drex')}",
+        f"demonstrations.dataset={quoted(output / 'demonstrations.safetensors')}",
+        *common(args),
+        f"torch_threads={threads()}",
+        *args.drex,
+    ]
+
+
+def morl_command(args: argparse.Namespace, output: Path) -> list[str]:
+    """What trains a policy with that reward model."""
+    return [
+        "recipes.pd_morl.pd_morl",
+        f"hydra.run.dir={quoted(output / 'pd_morl')}",
+        f"demonstrations.reward_model={quoted(output / 'drex' / 'reward_model')}",
+        f"demonstrations.dataset={quoted(output / 'demonstrations.safetensors')}",
+        *common(args),
+        f"compute.torch_threads={threads()}",
+        *args.pd_morl,
+    ]
+
+
+def common(args: argparse.Namespace) -> list[str]:
+    preset = [] if args.full else ["preset=quick"]
+    return [*preset, f"env.robot={quoted(args.robot)}"]
+
+
+def threads() -> int:
+    return min(2, len(os.sched_getaffinity(0)))
+
+
+def check(command: list[str], option: str, schema: ModuleType, planned: Path) -> None:
+    """Refuse what a stage would refuse, before the first of them begins.
+
+    Raises:
+        ValueError: in one line.
+    """
+    overrides = [one for one in command[1:] if not one.startswith("hydra.run.dir=")]
+    folder = Path(str(schema.__file__)).parent
+    try:
+        check_recipe("config", schema.Config, folder, overrides, planned=planned)
+    except (HydraException, ValueError) as error:
+        line, _ = error_line(error, None)
+        raise ValueError(f"{option}: {line}") from error
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from .arguments import Parser, episodes, existing_folder
-from .stages import Record, lock, run, unfinished
+from .stages import Record, lock, refuse_places, run, unfinished
 from .training.quoting import quoted
 from .training.run_folder import claim, final_policy, is_over, remove_if_refused
 
@@ -146,11 +146,7 @@ def check(options: dict[str, Any], output: Path) -> None:
     policy = output / "pd_morl" / "policies" / "last"
     found = {}
     for name, module in schemas.items():
-        given = options[name]
-        if taken := [one for one in given if one.lstrip("+").startswith(("hydra.run", "resume="))]:
-            raise ValueError(
-                f"--{name.replace('_', '-')} {taken[0]}: --output and --resume say so."
-            )
+        refuse_places(f"--{name.replace('_', '-')}", options[name])
         command = {
             "drex": plan.drex,
             "pd_morl": plan.pd_morl,

@@ -1,0 +1,116 @@
+"""From recorded drives to a policy, in one command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import recipes.teach as teach
+from tests._command import ROOT, run, run_here
+from torchrl_morl.deploy import load_policy
+
+DRIVES = str(ROOT / "examples" / "drives_right.csv")
+DREX = [
+    "cloning.updates=50",
+    "cloning.batch_size=64",
+    "cloning.num_cells=[16]",
+    "noise.levels=[0.0,0.2]",
+    "noise.rollouts=4",
+    "style_negatives.rollouts=24",
+    "reward_model.updates=20",
+    "reward_model.num_cells=[16]",
+    "reward_model.batch_size=8",
+    "diagnostics.rollouts=4",
+    "env.num_threads=1",
+    "torch_threads=1",
+    "bfloat16=false",
+]
+PD_MORL = [
+    "collector.total_frames=960",
+    "collector.init_random_frames=480",
+    "collector.frames_per_batch=96",
+    "evaluation.interval=576",
+    "evaluation.episodes=3",
+    "replay_buffer.batch_size=16",
+    "replay_buffer.size=2000",
+    "network.num_cells=[16,16]",
+    "env.max_episode_steps=30",
+    "compute.compile=false",
+    "compute.bfloat16=false",
+    "compute.torch_threads=1",
+]
+
+
+@pytest.fixture(scope="module")
+def lesson(tmp_path_factory) -> tuple[Path, str]:
+    folder = tmp_path_factory.mktemp("teach") / "lesson"
+    arguments = [
+        DRIVES,
+        "--output",
+        folder,
+        "--episodes",
+        4,
+        "--drex",
+        *DREX,
+        "--pd-morl",
+        *PD_MORL,
+    ]
+    result = run("recipes.teach", *arguments)
+    assert result.returncode == 0, result.stderr
+    return folder, result.stdout
+
+
+def test_it_leaves_a_policy_with_the_objective_of_the_drives(lesson):
+    folder, printed = lesson
+    policies = sorted((folder / "pd_morl" / "policies").iterdir())
+    assert "demo" in load_policy(policies[-1]).preference_space.tunable
+    assert f"try it: python -m recipes.demo --policy {folder}" in printed
+
+
+def test_it_compares_the_drives_with_those_of_every_objective(lesson):
+    folder, printed = lesson
+    numbers = json.loads((folder / "style.json").read_text())
+    assert list(numbers) == ["shown", "demo", "distance", "efficiency"]
+    assert numbers["shown"]["passes on the right"] == 1.0
+    assert all(0 <= numbers[name]["success"] <= 1 for name in list(numbers)[1:])
+    assert (folder / "style.png").stat().st_size > 10_000
+    assert "passes on the right 100 %" in printed
+
+
+def test_what_was_not_learned_is_said(lesson):
+    """A training of a second has learned nothing, or passes on the right by chance."""
+    folder, printed = lesson
+    learned = json.loads((folder / "style.json").read_text())["demo"]["passes on the right"]
+    assert (learned < 0.9) == ("warning: at demonstration = 1 only" in printed)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--drex", "reward_model.updates=-3"], "--drex: reward_model.updates must be at least 1"),
+        (["--pd-morl", "bogus.field=1"], "--pd-morl: there is no field bogus.field"),
+        (["--pd-morl", "hydra.run.dir=elsewhere"], "--pd-morl hydra.run.dir=elsewhere: the stages"),
+        (["--drex", "resume=elsewhere"], "--drex resume=elsewhere: the stages"),
+        (["--robot", "broom"], "broom"),
+        (["--episodes", "0"], "--episodes"),
+    ],
+)
+def test_mistakes_are_found_before_anything_is_written(
+    options, message, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit):
+        run_here(teach.main, DRIVES, *options)
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_with_something_in_it_is_not_written_to(tmp_path, capsys):
+    (tmp_path / "mine").write_text("mine")
+    with pytest.raises(SystemExit):
+        run_here(teach.main, DRIVES, "--output", str(tmp_path))
+    assert "is not empty, and nothing is overwritten" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
