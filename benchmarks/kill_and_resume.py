@@ -25,7 +25,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -224,8 +224,14 @@ def attempt(command: list[str], log: Path, seconds: float | None, limit: float) 
     return None
 
 
-def disturbed(folder: Path, when: Iterator[float], most: int, limit: float) -> Run:
-    """One training, killed until it is through, or as often as it may be."""
+def disturbed(
+    folder: Path,
+    when: Iterator[float],
+    most: int,
+    limit: float,
+    killed: Callable[[], object] = lambda: None,
+) -> Run:
+    """One training, killed until it is through, or as often as it may be; ``killed`` counts."""
     run, output = Run(), folder / "run"
     command = begin(output)
     while run.error is None:
@@ -237,6 +243,7 @@ def disturbed(folder: Path, when: Iterator[float], most: int, limit: float) -> R
             run.error = ended
             break
         run.hits.append(stage(output))
+        killed()
         command = go_on(output)
         if run.hits[-1] == BEFORE:
             run.again += 1
@@ -266,13 +273,12 @@ def main(arguments: list[str] | None = None) -> None:
                 folder = base / f"{number:03d}"
                 folder.mkdir()
                 most = min(args.per_run, args.kills - progress.n)
-                run = disturbed(folder, when, most, limit=10 * seconds + 120)
+                run = disturbed(folder, when, most, 10 * seconds + 120, progress.update)
                 if run.error is None:
                     run.differing = differences(expected, left(folder / "run"))
                 runs.append(run)
                 progress.write(run.row(number), file=sys.stdout)
                 sys.stdout.flush()
-                progress.update(len(run.hits))
                 if run.good:
                     shutil.rmtree(folder)
                 if progress.n >= args.kills:

@@ -69,12 +69,13 @@ class SafeStateAdapter(CheckpointAdapter):
         kwargs: Mapping[str, Any],
     ) -> None:
         del map_location, tensor_load_kwargs
+        file = path / self._TENSORS
         try:
-            tensors = load_file(path / self._TENSORS)
-            schema = json.loads((path / self._SCHEMA).read_text())
-            state = _decode(schema, tensors)
-        except (SafetensorError, KeyError, TypeError, IndexError, RecursionError) as error:
-            raise ValueError(f"{path} holds no state: {error}") from error
+            tensors = load_file(file)
+            file = path / self._SCHEMA
+            state = _decode(json.loads(file.read_text()), tensors)
+        except (SafetensorError, ValueError, LookupError, TypeError, RecursionError) as error:
+            raise ValueError(f"{file} holds no state: {error}.") from error
         component.load_state_dict(state, *args, **kwargs)
 
 
