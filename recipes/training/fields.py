@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from envs import get_robot, get_scene
 from envs.faults import get_faults
 from envs.objectives import check_objectives, get_rewards
+from envs.splits import VALIDATION_SEEDS
 from recipes.objectives import reward_objectives
 
 
@@ -121,6 +122,9 @@ Size = Annotated[int, Field(ge=1, le=100_000)]
 
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
 """Of random generators; stages and workers add to it."""
+
+ValidationSeed = Annotated[int, Field(ge=VALIDATION_SEEDS.start, le=VALIDATION_SEEDS[-1])]
+"""Its scenes are neither those of trainings nor those of results."""
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

@@ -33,6 +33,7 @@ from .fields import (
     Seed,
     Share,
     Size,
+    ValidationSeed,
     checked_faults,
 )
 
@@ -211,7 +212,7 @@ class Evaluation(Section):
     interval: Count = Field(description="Frames between evaluations.")
     scene: SceneField = Field(description="Scenes in which evaluations take place.")
     episodes: Size = Field(description="Episodes of each preference.")
-    seed: Seed = Field(description="Seed of the scenes of evaluations.")
+    seed: ValidationSeed = Field(description="Seed of the scenes of evaluations.")
 
 
 class Backends(Section):

@@ -163,7 +163,7 @@ OFF_POLICY = [
     ("evaluation.scene", "nowhere", "choose one of"),
     ("evaluation.episodes", 0, "at least 1"),
     ("evaluation.episodes", 999_999_999, "at most "),
-    ("evaluation.seed", -1, "at least 0"),
+    ("evaluation.seed", 7, "at least 1000000"),
     ("logger.interval", 0, "at least 1"),
     ("logger.backends", ["paper"], "'csv', 'tensorboard'"),
     ("logger.backends", "csv", "list"),
