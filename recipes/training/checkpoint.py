@@ -128,7 +128,10 @@ class BufferState:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Put them back, into a buffer of the same kind."""
+        """Put them back, into a buffer of the same kind, in the place of what it holds."""
+        # A storage counts what it is given on top: demonstrations that are in it already would leave as
+        # many rows behind the saved ones that nobody has written, and samples would hold them.
+        self.buffer.empty()
         if state["data"]:
             data = TensorDict(state["data"]).unflatten_keys("/").auto_batch_size_(1)
             self.buffer.storage.set(range(len(data)), data)

@@ -71,7 +71,10 @@ def train(*arguments: object) -> int | str:
             ["--pd-morl", "hydra.run.dir=x"],
             "--pd-morl hydra.run.dir=x: the stages run in the folder of --output, leave it out.",
         ),
-        (["--mo-ppo", "+resume=x"], "--mo-ppo +resume=x: the stages run in the folder of --output, leave it out."),
+        (
+            ["--mo-ppo", "+resume=x"],
+            "--mo-ppo +resume=x: the stages run in the folder of --output, leave it out.",
+        ),
         (
             ["--episodes", "0"],
             "argument --episodes: must be a whole number from 1 to 100000, got '0'",

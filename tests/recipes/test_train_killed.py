@@ -7,10 +7,15 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs import RewardScaling
 
 import recipes.train
 from recipes.stages import Record
 from recipes.training import command
+from recipes.training.checkpoint import BufferState
 from recipes.training.run_folder import is_over
 
 OPTIONS = {"drex": [], "pd_morl": [], "mo_ppo": [], "without_mo_ppo": True, "episodes": 1}
@@ -91,3 +96,23 @@ def test_a_configuration_is_there_whole_or_not_at_all(tmp_path):
     )
     assert result.returncode == -9
     assert (tmp_path / "overrides.yaml").read_text() == "- a=1\n"
+
+
+def test_a_buffer_that_holds_demonstrations_already_holds_what_was_saved_and_no_more():
+    def buffer(*parts: torch.Tensor) -> TensorDictReplayBuffer:
+        made = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(20), batch_size=4, transform=RewardScaling(0.0, 1.0)
+        )
+        for part in parts:
+            made.extend(TensorDict({"x": part}, batch_size=[len(part)]))
+        return made
+
+    demonstrations = torch.arange(5.0)
+    saved = buffer(demonstrations, torch.arange(5.0, 12.0))
+    again = buffer(demonstrations)
+    BufferState(again).load_state_dict(BufferState(saved).state_dict())
+    for one in (saved, again):
+        assert one[:]["x"].tolist() == [float(number) for number in range(12)]
+        one.extend(TensorDict({"x": torch.arange(12.0, 22.0)}, batch_size=[10]))  # beyond its end
+    assert len(again) == 20
+    assert torch.equal(again[:]["x"], saved[:]["x"])
