@@ -101,7 +101,9 @@ def test_a_configuration_is_there_whole_or_not_at_all(tmp_path):
 def test_a_buffer_that_holds_demonstrations_already_holds_what_was_saved_and_no_more():
     def buffer(*parts: torch.Tensor) -> TensorDictReplayBuffer:
         made = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(20), batch_size=4, transform=RewardScaling(0.0, 1.0)
+            storage=LazyTensorStorage(20),
+            batch_size=4,
+            transform=RewardScaling(0.0, 1.0, in_keys=["x"]),
         )
         for part in parts:
             made.extend(TensorDict({"x": part}, batch_size=[len(part)]))
