@@ -151,6 +151,12 @@ def stage(output: Path) -> str:
     return f"after {name}" if "seconds" in entry else name
 
 
+def finished(output: Path) -> bool:
+    """Whether a training has recorded that it is."""
+    record = output / "stages.json"
+    return record.is_file() and json.loads(record.read_text())["finished"]
+
+
 @dataclasses.dataclass
 class Run:
     """What became of one training.
@@ -244,6 +250,8 @@ def disturbed(
             break
         run.hits.append(stage(output))
         killed()
+        if finished(output):  # it was only ending: there is nothing to go on with
+            break
         command = go_on(output)
         if run.hits[-1] == BEFORE:
             run.again += 1
