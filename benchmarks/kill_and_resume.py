@@ -1,7 +1,8 @@
 """Trainings that are killed at random moments and gone on with, beside one that nobody disturbs.
 
 Every one is the same small ``python -m recipes.train``. All its processes get SIGKILL at moments that are
-uniform over the wall time of the undisturbed one, then it goes on with ``--resume``, until it is through.
+uniform over the first third of the undisturbed one's wall time, counted from every start: then it goes on with
+``--resume``, is killed again, and so on, until it is through.
 What it leaves must be what the undisturbed one left: demonstrations, reward model, clone and every policy, each
 tensor bit by bit, and what their evaluations found. The exit code is 1 where anything differs.
 
@@ -275,7 +276,8 @@ def main(arguments: list[str] | None = None) -> None:
                 parser.exit(1, f"{parser.prog}: error: the undisturbed training: {wrong}\n")
             expected = left(base / "undisturbed")
             progress.write(HEADER, file=sys.stdout)
-            when = moments(args.seed, seconds)
+            # Over all of it, most moments would come after the end of what was left to do.
+            when = moments(args.seed, seconds / 3)
             for number in itertools.count(1):
                 progress.set_description(f"run {number}")
                 folder = base / f"{number:03d}"
