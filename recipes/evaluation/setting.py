@@ -11,7 +11,7 @@ from envs import Robot, Scene, get_robot, get_scene
 from envs.demonstrations import CircleDemonstrator
 from envs.mjcf import Drive
 from envs.policy_env import observed
-from envs.splits import check_test_seed
+from envs.splits import TEST_SEEDS, check_test_seed
 from torchrl_morl.deploy import training_config
 
 GOAL_RADIUS = 0.3
@@ -99,7 +99,8 @@ def scene_seed(text: str) -> int:
     try:
         return check_test_seed(int(text))
     except ValueError as error:
-        reason = str(error) if text.isdigit() else f"must be a whole number, got {text!r}"
+        allowed = f"must be a whole number from {TEST_SEEDS.start} to {TEST_SEEDS[-1]}"
+        reason = str(error) if text.isdigit() else f"{allowed}, got {text!r}"
         raise argparse.ArgumentTypeError(reason) from error
 
 
