@@ -1,4 +1,4 @@
-"""An objective of one's own without editing the checkout: drive calmly, turn little."""
+"""An objective of one's own without editing the checkout: drive straight at the goal."""
 
 import sys
 

@@ -4,7 +4,7 @@ Examples::
 
     python -m recipes.evaluate                                   # sweep efficiency -> distance
     python -m recipes.evaluate --scene moving_human
-    python -m recipes.evaluate --preferences 1,0 0.5,0.5 --robot hsr --drive wheels
+    python -m recipes.evaluate --preferences 1,0,0 0,0.5,0.5 --robot hsr --drive wheels
 """
 
 from __future__ import annotations
@@ -88,18 +88,21 @@ def main() -> None:
         setting = choose(policy.card, scene=args.scene, robot=args.robot, drive=args.drive)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    with tqdm.tqdm(total=len(preferences), unit="preference") as progress:
-        result = sweep(
-            policy.actor,
-            policy.preference_space,
-            preferences,
-            episodes=args.episodes,
-            seed=args.seed,
-            faults=faults,
-            demonstrator=demonstrator(policy.card, setting.robot),
-            on_preference=lambda _: progress.update(),
-            **setting.arguments,
-        )
+    try:
+        with tqdm.tqdm(total=len(preferences), unit="preference") as progress:
+            result = sweep(
+                policy.actor,
+                policy.preference_space,
+                preferences,
+                episodes=args.episodes,
+                seed=args.seed,
+                faults=faults,
+                demonstrator=demonstrator(policy.card, setting.robot),
+                on_preference=lambda _: progress.update(),
+                **setting.arguments,
+            )
+    except ValueError as error:  # of a scene from a file, which its first episode shows
+        parser.error(str(error))
     print(result.table())
     metrics = result.metrics
     total = metrics["success"].numel()
@@ -119,6 +122,8 @@ def time_beside_the_straight_line(result: Sweep, setting: Setting) -> str:
     entry = result.preference_space.tunable.index("efficiency")
     fastest = result.preferences[:, entry].argmax()
     solved = metrics["success"][fastest]
+    if not solved.any():
+        return f"preference {result.preferences[fastest].tolist()}: no episode reached the goal"
     time = metrics["time"][fastest][solved].mean()
     way = metrics["direct_distance"][fastest] - setting.goal_radius
     bound = (way / speed)[solved].mean()

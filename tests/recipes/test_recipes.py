@@ -361,3 +361,14 @@ def test_preferences_are_read_in_the_order_of_the_tunable_objectives():
         recipes.evaluate.parse_preferences(["0.25,0.75", "1,0"], SPACE),
         torch.tensor([[0.25, 0.75], [1.0, 0.0]]),
     )
+
+
+def test_evaluation_in_a_scene_that_cannot_be_solved_is_one_line(tmp_path):
+    wall = tmp_path / "wall.yaml"
+    wall.write_text(
+        "start: [0, 0, 0]\ngoal: [8, 0]\nhuman: [4, 2]\nboxes:\n  - {at: [8, 0], size: [1, 1]}\n"
+    )
+    result = run("recipes.evaluate", "--scene", wall, "--episodes", 2)
+    assert result.returncode == 2
+    assert "Traceback" not in result.stderr
+    assert "wall.yaml: goal must be farther from boxes[0]" in result.stderr.splitlines()[-1]
