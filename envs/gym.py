@@ -24,7 +24,7 @@ from torchrl_morl.modules import RewardModel
 from torchrl_morl.transforms import RewardModelReward
 
 from .navigation import NavigationEnv
-from .policy_env import check_policy
+from .policy_env import check_policy, observed_size
 
 # Steps: longer than anything runs.
 _NO_LIMIT = 2**62
@@ -210,7 +210,7 @@ class NavigationGymEnv(gymnasium.Env):
 
     def _check(self, reward_model: RewardModel) -> None:
         expected = self._env.observation_spec["observation"].shape[-1]
-        size = reward_model.in_features - 2 * ("action" in reward_model.in_keys)
+        size = observed_size(reward_model)
         if size != expected:
             raise ValueError(
                 f"The reward model is about observations of {size} entries, here they have {expected}."

@@ -11,6 +11,7 @@ from torchrl.envs import ExcludeTransform, TransformedEnv
 
 from torchrl_morl.deploy import LidarGeometry, Limits, Policy, Sensing
 from torchrl_morl.deploy.features import observation_parts, policy_transforms
+from torchrl_morl.modules import RewardModel
 from torchrl_morl.transforms import PreferenceSampler, RewardModelReward
 
 from .lidar import MIN_RANGE
@@ -148,3 +149,8 @@ def make_policy_env(
     # asked for. Until then `env.state_dict()` and a deep copy raise.
     _ = env.action_spec
     return env
+
+
+def observed_size(model: RewardModel) -> int:
+    """Entries of the observation that a reward model reads, without the action's two."""
+    return model.in_features - 2 * ("action" in model.in_keys)

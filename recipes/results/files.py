@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_morl.deploy.entries import null_for_nan
+
 EPISODES, SUMMARY, TRAJECTORIES = "episodes.csv", "summary.json", "trajectories.npz"
 TEXT_COLUMNS = ("system", "condition", "scene")
 
@@ -51,7 +53,7 @@ def write_evaluation(
             writer.writerow(columns)
             for row in zip(*columns.values(), strict=True):
                 writer.writerow(map(_field, row))
-        text = json.dumps(_null_for_nan(summary), indent=2, allow_nan=False)
+        text = json.dumps(null_for_nan(dict(summary)), indent=2, allow_nan=False)
         (partial / SUMMARY).write_text(text + "\n")
         np.savez_compressed(partial / TRAJECTORIES, **trajectories)
         partial.rename(folder)
@@ -183,11 +185,3 @@ def _field(value: Any) -> Any:
     if isinstance(value, float):
         return "" if math.isnan(value) else f"{value:.9g}"
     return int(value) if isinstance(value, bool) else value
-
-
-def _null_for_nan(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _null_for_nan(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_null_for_nan(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from envs.policy_env import contract
 from torchrl_morl.deploy import save_policy
 
 from .corners import CornerResult
+from .run_folder import score
 from .task import Task
 
 
@@ -60,10 +60,6 @@ def card_config(cfg: DictConfig) -> dict[str, Any]:
 def finish(run_dir: Path, cfg: DictConfig) -> None:
     """Point to the results."""
     policies = sorted((run_dir / "policies").glob("[!.]*"))
-
-    def score(folder: Path) -> float:
-        return json.loads((folder / "policy.json").read_text())["card"]["score"]
-
     if policies:
         best = max(policies, key=score)
         print(f"best policy: {best} (score {score(best):.2f}); last policy: {policies[-1]}")

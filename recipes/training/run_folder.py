@@ -176,6 +176,11 @@ def _git_state(diff_file: Path) -> dict[str, Any] | None:
     return {"commit": commit.stdout.strip(), "uncommitted_changes": bool(diff)}
 
 
+def score(policy: Path) -> float:
+    """What the evaluation that saved a policy gave it."""
+    return json.loads((policy / "policy.json").read_text())["card"]["score"]
+
+
 def final_policy(run_dir: Path) -> Path:
     """The policy with the best score among those saved in the last fifth of the training."""
     policies = sorted((run_dir / "policies").glob("[!.]*"))
@@ -186,8 +191,4 @@ def final_policy(run_dir: Path) -> Path:
             "--pd-morl collector.total_frames=..."
         )
     late = policies[-max(1, len(policies) // 5) :]
-
-    def score(folder: Path) -> float:
-        return json.loads((folder / "policy.json").read_text())["card"]["score"]
-
     return max(late, key=score)

@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 
 from envs import NavigationEnv
 from envs.demonstrations import CircleDemonstrator, demonstrated_paths
-from envs.policy_env import make_policy_env, observation_size, simulated
+from envs.policy_env import make_policy_env, observation_size, observed_size, simulated
 from envs.splits import check_validation_seed, training_seed
 from recipes.evaluation.sweep import scene_layout
 from recipes.objectives import reward_objectives
@@ -103,8 +103,7 @@ def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | 
     members = model.module.members
     sizes = [layer.out_features for layer in members[0] if isinstance(layer, nn.Linear)]
     RewardModel(in_features=model.in_features, num_cells=sizes[:-1], num_members=len(members))
-    size = model.in_features - 2 * ("action" in model.in_keys)
-    check_observation(cfg, folder, size)
+    check_observation(cfg, folder, observed_size(model))
     return model, card
 
 
