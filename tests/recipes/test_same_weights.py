@@ -18,6 +18,7 @@ from recipes.mo_ppo import mo_ppo
 from recipes.pd_morl import pd_morl
 from recipes.scalarized import sac, td3
 from tests._command import run_here
+from tests._drex import TINY
 
 OFF_POLICY = [
     "collector.total_frames=960",
@@ -33,22 +34,7 @@ OFF_POLICY = [
     "optim.updates_per_batch=4",
 ]
 UNCOMPILED = ["compute.compile=false", "compute.bfloat16=false"]
-DREX = [
-    "demonstrations.count=6",
-    "demonstrations.batch=12",
-    "cloning.updates=100",
-    "cloning.batch_size=64",
-    "cloning.num_cells=[16]",
-    "noise.levels=[0.0,0.2]",
-    "noise.rollouts=4",
-    "style_negatives.rollouts=24",
-    "reward_model.updates=20",
-    "reward_model.num_cells=[16]",
-    "reward_model.batch_size=8",
-    "diagnostics.rollouts=4",
-    "env.num_threads=1",
-    "bfloat16=false",
-]
+DREX = [*TINY, "bfloat16=false"]
 MO_PPO = [
     "compute.torch_threads=1",
     "compute.bfloat16=false",
