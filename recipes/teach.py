@@ -18,7 +18,6 @@ import json
 import os
 import time
 from pathlib import Path
-from types import ModuleType
 
 import matplotlib
 
@@ -27,7 +26,6 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import torch
 import tqdm
-from hydra.errors import HydraException
 
 from envs import HUMAN_RADIUS, SCENES, get_robot
 from envs.demonstrations import import_demonstrations
@@ -43,10 +41,9 @@ from .evaluation.sweep import Sweep, sweep
 from .objectives import DEMO, known
 from .outputs import claim_folder
 from .pd_morl import schema as morl_schema
-from .training.command import check as check_recipe
+from .training.command import check_stage
 from .training.quoting import quoted
 from .training.run_folder import claim, final_policy
-from .training.user_errors import error_line
 
 
 def main() -> None:
@@ -73,8 +70,8 @@ def main() -> None:
         planned = base / "new" if args.output is None else args.output.resolve()
         stages.refuse_places("--drex", args.drex)
         stages.refuse_places("--pd-morl", args.pd_morl)
-        check(drex_command(args, planned), "--drex", drex_schema, planned)
-        check(morl_command(args, planned), "--pd-morl", morl_schema, planned)
+        check_stage("--drex", drex_schema, drex_command(args, planned)[1:], planned)
+        check_stage("--pd-morl", morl_schema, morl_command(args, planned)[1:], planned)
         output = claim(base) if args.output is None else claim_folder(args.output, base)
     except (OSError, ValueError) as error:
         parser.error(str(error))
@@ -136,21 +133,6 @@ def common(args: argparse.Namespace) -> list[str]:
 
 def threads() -> int:
     return min(2, len(os.sched_getaffinity(0)))
-
-
-def check(command: list[str], option: str, schema: ModuleType, planned: Path) -> None:
-    """Refuse what a stage would refuse, before the first of them begins.
-
-    Raises:
-        ValueError: in one line.
-    """
-    overrides = [one for one in command[1:] if not one.startswith("hydra.run.dir=")]
-    folder = Path(str(schema.__file__)).parent
-    try:
-        check_recipe("config", schema.Config, folder, overrides, planned=planned)
-    except (HydraException, ValueError) as error:
-        line, _ = error_line(error, None)
-        raise ValueError(f"{option}: {line}") from error
 
 
 @dataclasses.dataclass(frozen=True)

@@ -131,13 +131,10 @@ def check(options: dict[str, Any], output: Path) -> None:
         ValueError: in one line.
     """
     # They import PyTorch, which takes seconds that --help need not wait for.
-    from hydra.errors import HydraException
-
     from .drex import schema as drex
     from .mo_ppo import schema as mo_ppo
     from .pd_morl import schema as pd_morl
-    from .training.command import check as check_recipe
-    from .training.user_errors import error_line
+    from .training.command import check_stage
 
     schemas = {"drex": drex, "pd_morl": pd_morl, "mo_ppo": mo_ppo}
     if options["without_mo_ppo"]:
@@ -152,13 +149,8 @@ def check(options: dict[str, Any], output: Path) -> None:
             "pd_morl": plan.pd_morl,
             "mo_ppo": lambda folder: plan.mo_ppo(folder, policy),
         }[name](output / name)
-        overrides = [one for one in command[1:] if not one.startswith("hydra.")]
-        folder = Path(str(module.__file__)).parent
-        try:
-            found[name] = check_recipe("config", module.Config, folder, overrides, planned=output)
-        except (HydraException, ValueError) as error:
-            line, _ = error_line(error, None)
-            raise ValueError(f"--{name.replace('_', '-')}: {line}") from error
+        option = f"--{name.replace('_', '-')}"
+        found[name] = check_stage(option, module, command[1:], output)
     for field in ("observe_human", "observe_human_velocity"):
         one, other = (found[name]["env"][field] for name in ("drex", "pd_morl"))
         if one != other:

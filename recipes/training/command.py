@@ -19,6 +19,7 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NoReturn
 from unittest import mock
 
@@ -27,6 +28,7 @@ import tqdm
 from hydra import compose, initialize_config_dir
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel
 
@@ -98,6 +100,29 @@ def check(
     config = OmegaConf.to_container(cfg, resolve=True)
     validate(schema, config, planned=planned)
     return config
+
+
+def check_stage(
+    option: str, schema: ModuleType, overrides: Sequence[str], planned: Path
+) -> dict[str, Any]:
+    """The same for a recipe that is a stage of another command, before the first stage begins.
+
+    Args:
+        option: of that command, whose value the overrides are.
+        schema: module of the recipe's ``Config``, beside its YAML.
+        overrides: of the stage; those of Hydra itself are left out.
+        planned: see :func:`check`.
+
+    Raises:
+        ValueError: in one line, if the recipe or Hydra refuses it.
+    """
+    chosen = [one for one in overrides if not one.startswith("hydra.")]
+    folder = Path(str(schema.__file__)).parent
+    try:
+        return check("config", schema.Config, folder, chosen, planned=planned)
+    except (HydraException, ValueError) as error:
+        line, _ = error_line(error, None)
+        raise ValueError(f"{option}: {line}") from error
 
 
 class _InJob(BaseException):
