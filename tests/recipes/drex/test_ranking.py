@@ -86,7 +86,9 @@ def test_accuracy_on_held_out_pairs_for_every_gap():
     noisy = [(-level, group(number)) for number, level in enumerate(levels)]
     source = RankedSnippets(noisy, length=20, min_gap=0.15, seed=0)
     style = RankedSnippets([(0.0, group(0)), (-1.0, group(1))], length=20, seed=0)
-    scores = ranking.held_out_accuracy(BradleyTerryLoss(network), [source, style])
+    scores = ranking.held_out_accuracy(
+        BradleyTerryLoss(network), {"noise pairs": source, "style pairs": style}
+    )
     assert scores["held_out_accuracy noise pairs"] == pytest.approx(0.8, abs=0.05)
     assert scores["held_out_accuracy style pairs"] == 1.0
     per_gap = scores["held_out_accuracy per noise gap"]
