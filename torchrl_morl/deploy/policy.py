@@ -33,9 +33,10 @@ class Policy:
     """A trained policy, as :func:`load_policy` returns it.
 
     Args:
-        actor: the network alone: features and preference in, action in [-1, 1] out. It checks
-            nothing. In an environment made by ``envs.policy_env.make_policy_env`` it is all that is
-            needed.
+        actor: the network alone: features and preference in, action in [-1, 1] out. In an environment
+            made by ``envs.policy_env.make_policy_env`` it is all that is needed. That of
+            :func:`load_policy` refuses a preference off the simplex, in eager mode; compiled or
+            exported it checks sizes and precision alone.
         preference_space: what the entries of a preference mean.
         sensing: what it was trained to sense; ``None`` if its file does not tell.
         limits: of its commands.

@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
+from torch._subclasses import FakeTensorMode
 
 from envs.gym import NavigationGymEnv
 from envs.policy_env import contract, make_policy_env
 from torchrl_morl.deploy import Sensing, load_policy
 from torchrl_morl.deploy.features import observation
+from torchrl_morl.testing import untrained_policy
 from torchrl_morl.transforms import PreferenceSampler
 
 POLICIES = Path(__file__).parents[3] / "recipes" / "policies"
@@ -151,6 +154,53 @@ def test_what_is_refused(policy, changes, message):
     with pytest.raises(ValueError) as error:
         policy.act(**inputs() | changes)
     assert message in str(error.value) and len(str(error.value).splitlines()) == 1
+
+
+OFF_THE_SIMPLEX = [
+    ([1e6, 0.0, 0.0], "sums to 1e+06; it must sum to 1 within 0.0001"),
+    ([-1.0, 1.0, 1.0], "= -1 for objective 'demo' must be finite and >= 0"),
+    ([1.0, 1.0, 0.0], "sums to 2"),
+    ([math.nan, 1.0, 0.0], "= nan for objective 'demo' must be finite"),
+]
+
+
+@pytest.mark.parametrize("batch", [(), (4,)])
+@pytest.mark.parametrize(("preference", "message"), OFF_THE_SIMPLEX)
+def test_the_actor_refuses_preferences_off_the_simplex(policy, preference, message, batch):
+    preference = torch.tensor(preference).expand(*batch, 3)
+    features = torch.randn(*batch, 36)
+    for call in (
+        lambda: policy.actor(features, preference),
+        lambda: policy.actor(TensorDict(observation=features, preference=preference)),
+        lambda: untrained_policy().actor(features, preference),
+    ):
+        with pytest.raises(ValueError) as error:
+            call()
+        assert message in str(error.value)
+    swapped = TensorDict(observation=preference, preference=features)
+    with pytest.raises(ValueError, match=r"preference must have shape \[..., 3\]"):
+        policy.actor(swapped)
+
+
+def test_what_traces_an_actor_looks_at_no_values(policy):
+    features, preference = torch.randn(4, 36), torch.eye(3)[[0, 1, 2, 0]]
+    expected = policy.actor(features, preference)[1]
+    several = torch.vmap(policy.actor, randomness="error")(features, preference)[1]
+    torch.testing.assert_close(several, expected)
+    torch.testing.assert_close(
+        torch.compile(policy.actor, backend="eager", fullgraph=True)(features, preference)[1],
+        expected,
+    )
+    graph = torch.export.export(policy.actor, (features, preference), strict=False).module()
+    torch.testing.assert_close(graph(features, preference)[1], expected)
+    with FakeTensorMode(allow_non_fake_inputs=True) as mode:
+        fake = mode.from_tensor(features), mode.from_tensor(preference)
+        assert policy.actor(*fake)[1].shape == (4, 2)
+
+
+def test_a_training_takes_an_actor_that_looks_at_no_values():
+    actor = load_policy(POLICIES / "navigation", check_preferences=False).actor
+    assert actor(torch.randn(4, 36), torch.zeros(4, 3))[1].isfinite().all()
 
 
 @pytest.mark.parametrize("batch", [(), (4,)])
