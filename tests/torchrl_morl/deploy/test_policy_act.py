@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 import math
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ from torch._subclasses import FakeTensorMode
 from envs.gym import NavigationGymEnv
 from envs.policy_env import contract, make_policy_env
 from torchrl_morl.deploy import Sensing, load_policy
-from torchrl_morl.deploy.features import observation
+from torchrl_morl.deploy.features import RowFeatures, observation
 from torchrl_morl.testing import untrained_policy
 from torchrl_morl.transforms import PreferenceSampler
 
@@ -73,6 +75,55 @@ def test_features_are_those_of_the_environment(name):
     seen = {name: data[name] for name in ("lidar", "goal", "human")} | velocity
     assert torch.equal(observation(sensing, **seen), data["observation"])
     env.close()
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3)])
+@pytest.mark.parametrize(
+    "changes", [{}, {"observe_human_velocity": True}, {"observe_human": False}]
+)
+def test_a_row_of_inputs_has_the_same_features(changes, batch):
+    """One observation costs too many operations otherwise; the numbers are the same, to rounding."""
+    sensing = Sensing(goal_scale=4.7, human_scale=1.9, max_range=3.3, unknown_range=3.3, **changes)
+    lidar = 3.3 * torch.rand(*batch, 30)
+    lidar[..., 0] = 0.0
+    given = {"lidar": lidar, "goal": 6 * torch.randn(*batch, 2)}
+    if sensing.observe_human:
+        given["human"] = 6 * torch.randn(*batch, 2)
+    if sensing.observe_human_velocity:
+        given["human_velocity"] = torch.randn(*batch, 2)
+    preference, total = torch.rand(*batch, 3), torch.ones(*batch, 1)
+    row = torch.cat((*given.values(), preference, total), -1)
+    before = row.clone()
+    found = RowFeatures(sensing, 3, like=row)(row)
+    expected = observation(sensing, **given)
+    torch.testing.assert_close(found[..., :-3], expected, rtol=3e-7, atol=3e-7)
+    assert torch.equal(found[..., -3:], preference)
+    assert torch.equal(row, before)
+
+
+def test_the_present_weights_count():
+    """`act` goes past the modules of its network: whatever is done to them is seen."""
+    policy, other = untrained_policy(), untrained_policy()
+    given = inputs()
+    before = policy.act(**given)
+    policy.actor.load_state_dict(other.actor.state_dict(), assign=True)
+    assert not np.array_equal(policy.act(**given), before)
+    np.testing.assert_array_equal(policy.act(**given), other.act(**given))
+    again = copy.deepcopy(policy)
+    for parameter in again.actor.parameters():
+        parameter.zero_()
+    np.testing.assert_allclose(again.act(**given), [0.25, 0.0], atol=1e-7)
+    np.testing.assert_array_equal(policy.act(**given), other.act(**given))
+    pickled = pickle.loads(pickle.dumps(policy))
+    np.testing.assert_array_equal(pickled.act(**given), other.act(**given))
+
+
+def test_autocast_reaches_the_layers_in_the_middle_alone(policy):
+    given = inputs(4)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = policy.act(**given)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, policy.act(**given), atol=0.1)
 
 
 @pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3)])
