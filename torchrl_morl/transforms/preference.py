@@ -76,8 +76,8 @@ class PreferenceSampler(_RandomPreferences):
     - During the episode the preference of the next step is that of the current one. Writing
       ``tensordict["preference"]`` between two steps changes it from that step on, until the episode
       ends. ``env.step`` refuses one off the simplex before anything moves. It looks at the values only
-      where the preference is another tensor than the one handed out, or was written to; not under
-      :func:`torch.compile`.
+      where the preference is another tensor than the last one handed out or stepped with, or was
+      written to; not under :func:`torch.compile`.
 
     The key is in the observation and in the state specs, with entries in [0, 1]. As a module or in
     a replay buffer the transform adds a preference where there is none, at the root and in
@@ -141,7 +141,9 @@ class PreferenceSampler(_RandomPreferences):
         self.preference_key = unravel_key(preference_key)
         self.reset_key = None if reset_key is None else unravel_key(reset_key)
         self.register_buffer("preferences", None)
+        # Tensors that were valid, with their versions then: handed out last, and last stepped with.
         self._handed_out: tuple[Tensor, int] | None = None
+        self._stepped: tuple[Tensor, int] | None = None
 
     @classmethod
     def fixed(
@@ -218,13 +220,13 @@ class PreferenceSampler(_RandomPreferences):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         # TorchRL calls this before it steps the environment.
         preference = tensordict.get(self.preference_key, None)
-        if (
-            preference is not None
-            and not torch.compiler.is_compiling()
-            and not self._is_handed_out(preference)
-            and self._is_in_environment()
-        ):
+        if preference is None or torch.compiler.is_compiling() or _is(preference, self._stepped):
+            return tensordict
+        if not _is(preference, self._handed_out):
+            if not self._is_in_environment():
+                return tensordict
             self.preference_space.validate(preference)
+        self._stepped = _now(preference)
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -236,16 +238,8 @@ class PreferenceSampler(_RandomPreferences):
     def _hand_out(self, preference: Tensor, tensordict: TensorDictBase) -> None:
         """Set a valid preference, and remember that it is."""
         tensordict.set(self.preference_key, preference)
-        # Tensors of inference mode count no versions.
         if not torch.compiler.is_compiling():
-            self._handed_out = (
-                None if preference.is_inference() else (preference, preference._version)
-            )
-
-    def _is_handed_out(self, preference: Tensor) -> bool:
-        if self._handed_out is None or preference is not self._handed_out[0]:
-            return False
-        return preference._version == self._handed_out[1]
+            self._handed_out = _now(preference)
 
     def _is_in_environment(self) -> bool:
         """Not so in a replay buffer, whose writes pass through here as well."""
@@ -336,3 +330,13 @@ class PreferenceSampler(_RandomPreferences):
                 f"{self.segments.num_segments} segments: place the PreferenceSampler outside of "
                 "the batched environment."
             )
+
+
+def _now(tensor: Tensor) -> tuple[Tensor, int] | None:
+    """The tensor and how often it was written to, which those of inference mode do not count."""
+    return None if tensor.is_inference() else (tensor, tensor._version)
+
+
+def _is(tensor: Tensor, then: tuple[Tensor, int] | None) -> bool:
+    """Whether it is that tensor, and nobody has written to it."""
+    return then is not None and tensor is then[0] and tensor._version == then[1]
