@@ -172,11 +172,14 @@ class Policy:
         inputs, batches = {}, set()
         for name, value in given.items():
             try:
+                if isinstance(value, np.ma.MaskedArray):
+                    # Not finite, which is refused below: what stands behind a mask is no reading.
+                    value = np.ma.filled(value.astype(np.float64), np.nan)
                 value = torch.as_tensor(value) if tensors else np.asarray(value)
             except (TypeError, ValueError, RuntimeError) as error:
                 raise ValueError(f"{name} is no array of numbers: {one_line(error)}.") from error
-            if value.dtype.is_complex if tensors else value.dtype.kind not in "fiub":
-                raise ValueError(f"{name} is no array of numbers: it is {value.dtype}.")
+            if not (_is_numeric(value) if tensors else value.dtype.kind in "fiub"):
+                raise ValueError(f"{name} is no array of numbers: it is {_kind(value)}.")
             value = value.to(like.device, dtype) if tensors else value.astype(dtype, copy=False)
             shape = value.shape
             if not shape or shape[-1] != sizes[name]:
@@ -250,3 +253,16 @@ def _bare(layer: nn.Module) -> Callable[[Tensor], Tensor]:
 
 def _linear(parameters: Mapping[str, Tensor], features: Tensor) -> Tensor:
     return linear(features, parameters["weight"], parameters["bias"])
+
+
+def _is_numeric(value: Tensor) -> bool:
+    """Whether a tensor is of real numbers, which are there and not quantized."""
+    if value.is_meta or value.is_quantized or value.layout is not torch.strided:
+        return False
+    return not value.dtype.is_complex
+
+
+def _kind(value: np.ndarray | Tensor) -> str:
+    if isinstance(value, Tensor) and value.layout is not torch.strided:
+        return str(value.layout)
+    return "on the meta device" if isinstance(value, Tensor) and value.is_meta else str(value.dtype)

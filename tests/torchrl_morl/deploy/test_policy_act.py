@@ -194,6 +194,13 @@ def test_inputs_are_not_changed(policy):
         ({"preference": [[0, 1], [1]]}, "preference is no array of numbers"),
         ({"lidar": np.full(30, 4 + 1j)}, "lidar is no array of numbers"),
         ({"goal": [math.nan, 0]}, "'goal'[0] = nan must be finite"),
+        ({"goal": np.ma.masked_array([1.0, 0.0], [True, False])}, "'goal'[0] = nan must be finite"),
+        ({"lidar": torch.ones(30).to_sparse()}, "lidar is no array of numbers: it is torch.sparse"),
+        ({"goal": torch.ones(2, device="meta")}, "goal is no array of numbers: it is on the meta"),
+        (
+            {"goal": torch.quantize_per_tensor(torch.ones(2), 0.1, 0, torch.quint8)},
+            "goal is no array of numbers: it is torch.quint8",
+        ),
         ({"goal": [-1, 0]}, "goal has the length -1 m"),
         ({"goal": [1, 0, 0]}, "goal must have shape [..., 2], got [3]"),
         ({"human": [1, -math.inf]}, "'human'[1] = -inf must be finite"),
