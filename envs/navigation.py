@@ -37,28 +37,28 @@ from .views import chase_view, top_view
 class NavigationEnv(BatchedMujocoEnv):
     """A robot drives to its goal past a human and boxes; rewards are vectors.
 
-    =====================  ============  =======================================================
-    key                    shape         meaning
-    =====================  ============  =======================================================
-    ``scan``               ``[N, 720]``  lidar ranges in metres, counter-clockwise from the
-                                         heading, in (0, 4]; no return is 4.0
-    ``goal``               ``[N, 2]``    distance (m) and bearing (rad) of the goal from the robot
-    ``human``              ``[N, 2]``    the same for the human's centre
-    ``action``             ``[N, 2]``    forward speed (m/s) and turn rate (rad/s)
-    ``reward``             ``[N, K]``    one entry per objective: core, distance, efficiency,
-                                         unless ``objectives`` says otherwise
-    ``success``            ``[N, 1]``    the goal was reached, without a collision
-    ``collision_human``    ``[N, 1]``    the episode ended by touching the human
-    ``collision_obstacle`` ``[N, 1]``    the episode ended by touching a box
-    ``pose``               ``[N, 3]``    ground truth x, y (m), heading (rad): evaluation only
-    ``human_pose``         ``[N, 3]``    the same for the human: evaluation only
-    ``scene``              nested        ground truth ``goal``, ``human_goal``, ``boxes``:
-                                         snapshots and figures only (not with
-                                         ``snapshots=False``)
-    ``faults``             ``[N, 4]``    amounts of the faults of the episode, as in
-                                         :class:`Faults`; only if episodes draw them, not with
-                                         ``snapshots=False``
-    =====================  ============  =======================================================
+    ======================  ============  =======================================================
+    key                     shape         meaning
+    ======================  ============  =======================================================
+    ``scan``                ``[N, 720]``  lidar ranges in metres, counter-clockwise from the
+                                          heading, in (0, 4]; no return is 4.0
+    ``goal``                ``[N, 2]``    distance (m) and bearing (rad) of the goal from the robot
+    ``human``               ``[N, 2]``    the same for the human's centre
+    ``action``              ``[N, 2]``    forward speed (m/s) and turn rate (rad/s)
+    ``reward``              ``[N, K]``    one entry per objective: core, distance, efficiency,
+                                          unless ``objectives`` says otherwise
+    ``success``             ``[N, 1]``    the goal was reached, without a collision
+    ``collision_human``     ``[N, 1]``    the episode ended by touching the human
+    ``collision_obstacle``  ``[N, 1]``    the episode ended by touching a box
+    ``pose``                ``[N, 3]``    ground truth x, y (m), heading (rad): evaluation only
+    ``human_pose``          ``[N, 3]``    the same for the human: evaluation only
+    ``scene``               nested        ground truth ``goal``, ``human_goal``, ``boxes``:
+                                          snapshots and figures only (not with
+                                          ``snapshots=False``)
+    ``faults``              ``[N, 4]``    amounts of the faults of the episode, as in
+                                          :class:`Faults`; only if episodes draw them, not with
+                                          ``snapshots=False``
+    ======================  ============  =======================================================
 
     Objectives (equations 2 to 4 of the paper, with the sign of the goal term corrected; ``rewards``
     holds the numbers):
