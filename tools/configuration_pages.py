@@ -78,9 +78,12 @@ def main() -> None:
 def pages() -> Iterator[tuple[str, str]]:
     """Names of the files, and what stands in them."""
     rows = [f"| [{recipe.title}]({recipe.page}.md) | `{recipe.module}` |" for recipe in RECIPES]
-    yield "index.md", INDEX.format(
-        table="\n".join(["| recipe | module |", "|---|---|", *rows]),
-        names="\n".join(recipe.page for recipe in RECIPES),
+    yield (
+        "index.md",
+        INDEX.format(
+            table="\n".join(["| recipe | module |", "|---|---|", *rows]),
+            names="\n".join(recipe.page for recipe in RECIPES),
+        ),
     )
     for recipe in RECIPES:
         yield f"{recipe.page}.md", page(recipe)

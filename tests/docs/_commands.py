@@ -47,18 +47,22 @@ def commands(code: str) -> Iterator[Command]:
             key, _, value = words.pop(0).partition("=")
             variables[key] = filled(value, variables)
         words = [
-            part for word in words for part in _expanded(word, variables, quoted=f'"{word}"' in line)
+            part
+            for word in words
+            for part in _expanded(word, variables, quoted=f'"{word}"' in line)
         ]
         for place in range(len(words) - 2):
             if re.search(r"(^|/)python3?$", words[place]) and words[place + 1] == "-m":
-                ends = [i for i in range(place, len(words)) if words[i] in {"|", "&&", ";", ">", "&"}]
+                ends = [
+                    i for i in range(place, len(words)) if words[i] in {"|", "&&", ";", ">", "&"}
+                ]
                 yield Command(words[place + 2], words[place + 3 : (ends or [len(words)])[0]])
 
 
 def make_targets(code: str) -> set[str]:
     """Targets that a shell block asks ``make`` for."""
     found = set()
-    for line in code.splitlines():
+    for line in code.replace("\\\n", " ").splitlines():
         words = shlex.split(line, comments=True)
         if "make" in words:
             rest = words[words.index("make") + 1 :]
@@ -68,9 +72,7 @@ def make_targets(code: str) -> set[str]:
 
 def filled(text: str, variables: dict[str, str]) -> str:
     """A text with ``$NAME`` and ``${NAME}`` replaced, as far as they are known."""
-    return re.sub(
-        r"\$\{?(\w+)\}?", lambda match: variables.get(match[1], match[0]), text
-    )
+    return re.sub(r"\$\{?(\w+)\}?", lambda match: variables.get(match[1], match[0]), text)
 
 
 def _expanded(word: str, variables: dict[str, str], *, quoted: bool) -> list[str]:
@@ -91,6 +93,8 @@ def problem(command: Command) -> str | None:
         fields = [one for one in arguments if one not in HYDRA and one != "job"]
         return refused(recipe, fields)
     known = options(module)
+    if arguments and arguments[0] in known:
+        known |= options(module, arguments[0])
     stage: str | None = None
     fields: dict[str, list[str]] = {}
     for word in arguments:
@@ -109,19 +113,22 @@ def problem(command: Command) -> str | None:
 
 
 @functools.cache
-def options(module: str) -> set[str]:
-    """Options that the help of a program names."""
+def options(module: str, *subcommand: str) -> set[str]:
+    """Options and subcommands that the help of a program, or of a subcommand of it, names."""
     program = importlib.import_module(module)
     if not hasattr(program, "main"):
         program = importlib.import_module(f"{module}.__main__")
     printed = io.StringIO()
     with (
-        mock.patch.object(sys, "argv", [module, "--help"]),
+        mock.patch.object(sys, "argv", [module, *subcommand, "--help"]),
         contextlib.redirect_stdout(printed),
         contextlib.suppress(SystemExit),
     ):
         program.main()
-    return set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", printed.getvalue()))
+    text = printed.getvalue()
+    subcommands = re.search(r"(?:^|\s)\{([\w,-]+)\} \.\.\.", text)
+    named = set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", text))
+    return named | set(subcommands[1].split(",") if subcommands else ())
 
 
 def refused(recipe, fields: list[str]) -> str | None:
@@ -134,7 +141,9 @@ def refused(recipe, fields: list[str]) -> str | None:
         with initialize_config_dir(str(folder), version_base="1.3"):
             config = OmegaConf.to_container(compose(recipe.config, swept))
         given = {key: value for key, value in config.items() if value != "???"}
-        recipe.schema.model_validate({"policy": "FOLDER", **given} if recipe.page == "mo_ppo" else given)
+        recipe.schema.model_validate(
+            {"policy": "FOLDER", **given} if recipe.page == "mo_ppo" else given
+        )
     except Exception as error:
         return f"{recipe.module} {' '.join(fields)}: {error}"
     return None

@@ -6,7 +6,18 @@ import re
 
 import pytest
 
-from ._pages import HISTORY, ROOT, README, anchors, leads_to, links, name, pages, tracked, without_code
+from ._pages import (
+    HISTORY,
+    README,
+    ROOT,
+    anchors,
+    leads_to,
+    links,
+    name,
+    pages,
+    tracked,
+    without_code,
+)
 
 PAGES = pages()
 COMMIT = re.compile(r"(?<![\w/.-])(?=[0-9a-f]*\d)(?=[0-9a-f]*[a-f])[0-9a-f]{7,40}(?![\w-])")
@@ -28,11 +39,13 @@ def broken(page, text: str) -> list[str]:
 
 
 def test_broken_links_are_found():
-    text = "[a](CHANGELOG.md) [b](NONE.md) [c](CHANGELOG.md#0-2-0) [d](CHANGELOG.md#020) `[e](x.md)`"
-    assert [line[:3] for line in broken(README, text)] == ["[b]", "[c]"]
-    assert broken(README, "[out](../elsewhere.md) [web](https://example.org/none.md)")[0].startswith(
-        "[out]"
+    text = (
+        "[a](CHANGELOG.md) [b](NONE.md) [c](CHANGELOG.md#0-2-0) [d](CHANGELOG.md#020) `[e](x.md)`"
     )
+    assert [line[:3] for line in broken(README, text)] == ["[b]", "[c]"]
+    assert broken(README, "[out](../elsewhere.md) [web](https://example.org/none.md)")[
+        0
+    ].startswith("[out]")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
@@ -41,7 +54,9 @@ def test_no_link_is_broken(page):
 
 
 def test_commits_are_found():
-    text = "at commit b43be93, or 8082e42; 1234567 episodes, defaced, arXiv 2404.04857, step-000240000"
+    text = (
+        "at commit b43be93, or 8082e42; 1234567 episodes, defaced, arXiv 2404.04857, step-000240000"
+    )
     assert COMMIT.findall(text) == ["b43be93", "8082e42"]
 
 
