@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from pathlib import Path
 
 from sphinx.application import Sphinx
 
+import torchrl_morl
+
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
-sys.path.insert(0, str(ROOT))
-
-import torchrl_morl
 
 project = "torchrl-morl"
 author = copyright = "The torchrl-morl contributors"

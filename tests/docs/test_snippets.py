@@ -51,12 +51,7 @@ def test_the_python_of_a_page_runs(page, checkout, monkeypatch):
     # What a page declares is for its process.
     monkeypatch.setattr("envs.objectives.OBJECTIVES", dict(__import__("envs").OBJECTIVES))
     names: dict = {"__name__": "page"}
-    found = blocks(page.read_text(), "python")
-    # demonstrations.md imports a file in its first block and makes one in its last.
-    if page.name == "demonstrations.md":
-        found = found[::-1]
-        (checkout / "boxes.csv").write_text("trajectory,x,y,yaw,half_length,half_width\n")
-    for place, block in enumerate(found):
+    for place, block in enumerate(blocks(page.read_text(), "python")):
         torch.manual_seed(0)
         code = compile(block.code, f"{name(page)}, block {place + 1}", "exec")
         with contextlib.redirect_stdout(io.StringIO()):
