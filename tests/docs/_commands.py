@@ -39,6 +39,8 @@ def commands(code: str) -> Iterator[Command]:
     """Programs that a shell block starts, with its variables filled in."""
     variables: dict[str, str] = {}
     for line in code.replace("\\\n", " ").splitlines():
+        if loop := re.search(r"for (\w+) in (\S+)", line):
+            variables[loop[1]] = loop[2].rstrip(";")
         try:
             words = shlex.split(line.strip(), comments=True)
         except ValueError as error:
@@ -150,5 +152,5 @@ def refused(recipe, fields: list[str]) -> str | None:
 
 
 def known_place(path: str) -> bool:
-    """Whether a path of the checkout that a command names is there."""
-    return (ROOT / path).exists()
+    """Whether a path of the checkout that a command names is there, or is what it builds."""
+    return (ROOT / path).exists() or path.startswith("docs/_build")
