@@ -6,7 +6,10 @@ import os
 import re
 from pathlib import Path
 
+from docutils import nodes
+from docutils.utils.math import latex2mathml
 from sphinx.application import Sphinx
+from sphinx.writers.html5 import HTML5Translator
 
 import torchrl_morl
 
@@ -22,8 +25,10 @@ exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = f"torchrl-morl {version}"
 html_static_path = ["_static"]
-html_css_files = ["tables.css"]
+html_css_files = ["site.css"]
 html_copy_source = False
+
+html_math_renderer = "mathml"
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4  # as GitHub makes them
@@ -51,8 +56,20 @@ ELSEWHERE = {
 
 
 def setup(app: Sphinx) -> None:
-    """Links of the pages hold on GitHub; on the site some files are elsewhere."""
+    """Links of the pages hold on GitHub, on the site some files are elsewhere; equations need no script."""
     app.connect("source-read", _read)
+    app.add_html_math_renderer("mathml", (_equation, None), (_equation, None))
+
+
+def _equation(translator: HTML5Translator, node: nodes.Element) -> None:
+    """An equation in MathML, which browsers render themselves: pages work without a network, too."""
+    text = re.sub(r"\\[Bb]igg?[lr]?(?![a-zA-Z])", "", node.astext()).replace(r"\dots", r"\ldots")
+    if "&" in text or r"\\" in text:
+        text = rf"\begin{{aligned}}{text}\end{{aligned}}"
+    block = isinstance(node, nodes.math_block)
+    mathml = latex2mathml.tex2mathml(text, as_block=block)
+    translator.body.append(f'<div class="math">{mathml}</div>' if block else mathml)
+    raise nodes.SkipNode
 
 
 def _read(app: Sphinx, docname: str, source: list[str]) -> None:
