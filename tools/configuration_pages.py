@@ -101,7 +101,7 @@ def page(recipe: Recipe) -> str:
         default = "must be given" if default == "???" else f"`{default}`"
         allowed = leaf.allowed.replace("|", "\\|")
         sections.setdefault(section, []).append(
-            f"| `{leaf.name}` | {default} | {allowed} | {leaf.description} |"
+            f"| `{leaf.name}` | {default} | {leaf.description} *Allowed: {allowed}.* |"
         )
     files = [f"{recipe.config}.yaml", "common.yaml"]
     links = [
@@ -119,7 +119,7 @@ def page(recipe: Recipe) -> str:
         lines += ["", "`preset=quick` sets several of them for a run of minutes."]
     for section, rows in sections.items():
         lines += ["", f"## {f'`{section}`' if section else 'The run'}", ""]
-        lines += ["| field | default | allowed | is |", "|---|---|---|---|", *rows]
+        lines += ["| field | default | is |", "|---|---|---|", *rows]
     return "\n".join(lines) + "\n"
 
 

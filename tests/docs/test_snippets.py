@@ -82,7 +82,9 @@ def test_the_targets_and_the_places_of_a_page_are_there(page):
     for block in blocks(page.read_text(), "bash"):
         for target in make_targets(block.code):
             assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
-        for path in re.findall(r"(?:recipes/policies|examples|tests|docs)/\w[\w./-]+\w", block.code):
+        for path in re.findall(
+            r"(?:recipes/policies|examples|tests|docs)/\w[\w./-]+\w", block.code
+        ):
             assert known_place(path), path
 
 
