@@ -9,7 +9,18 @@ import yaml
 
 import torchrl_morl
 
-from ._pages import README, ROOT, anchors, blocks, leads_to, links, tables, without_code, words
+from ._pages import (
+    README,
+    ROOT,
+    anchors,
+    blocks,
+    leads_to,
+    links,
+    pages,
+    tables,
+    without_code,
+    words,
+)
 
 TEXT = README.read_text()
 MOST_WORDS, MOST_TABLES = 600, 2
@@ -94,3 +105,23 @@ def test_the_citation_is_that_of_the_file():
     assert f"{{{paper['year']}}}" in entry.code
     names = [f"{one['family-names']}, {one['given-names']}" for one in paper["authors"]]
     assert " and ".join(names) in entry.code
+
+
+def asks(page) -> bool:
+    """Whether the title of a page is a question."""
+    return page.read_text().lstrip().splitlines()[0].endswith("?")
+
+
+def test_every_page_asks_one_question():
+    """But for the first one, those that show a file from elsewhere, and the reference."""
+    docs = ROOT / "docs"
+    others = {
+        docs / name for name in ("index.md", "changelog.md", "contributing.md", "benchmarks.md")
+    }
+    found = [
+        page
+        for page in pages(history=False)
+        if docs in page.parents and page not in others and page.parent != docs / "api"
+    ]
+    assert len(found) > 20
+    assert [page.name for page in found if not asks(page)] == []
