@@ -46,10 +46,8 @@ def files(text: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=name)
-def test_the_python_of_a_page_runs(page, checkout, monkeypatch):
+def test_the_python_of_a_page_runs(page, checkout):
     """Its blocks one after the other, as a reader would type them."""
-    # What a page declares is for its process.
-    monkeypatch.setattr("envs.objectives.OBJECTIVES", dict(__import__("envs").OBJECTIVES))
     names: dict = {"__name__": "page"}
     for place, block in enumerate(blocks(page.read_text(), "python")):
         torch.manual_seed(0)
