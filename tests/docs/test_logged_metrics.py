@@ -118,7 +118,9 @@ def test_page_explains_what_is_logged(runs, recipe, page, heading):
     assert names == logged(runs[recipe])
 
 
-def test_page_explains_the_card_of_a_reward_model(runs):
-    card = json.loads((runs["drex"] / "reward_model" / "reward_model.json").read_text())["card"]
-    made = {"config", "versions", "demonstrator"}
-    assert explained("drex.md", "What a run reports") == set(card) - made
+def test_page_explains_the_card_and_the_pictures_of_a_reward_model(runs):
+    folder = runs["drex"]
+    card = json.loads((folder / "reward_model" / "reward_model.json").read_text())["card"]
+    reported = set(card) - {"config", "versions", "demonstrator"}  # what made it
+    reported |= {picture.name for picture in folder.glob("*.png")}
+    assert explained("drex.md", "What a run reports") == reported
