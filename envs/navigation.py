@@ -17,9 +17,12 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 
+from torchrl_morl.arguments import check_count
+
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
 from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl, yaw_quaternion
 from .faults import Faults, get_faults
+from .fields import is_number, shown
 from .geometry import arctan2, cos_sin
 from .lidar import MIN_RANGE, Lidar
 from .mjcf import Drive, navigation_mjcf, time_step
@@ -124,13 +127,10 @@ class NavigationEnv(BatchedMujocoEnv):
         camera: str | Camera = "top",
         **kwargs: Any,
     ) -> None:
-        for name, value in (
-            ("goal_radius", goal_radius),
-            ("num_rays", num_rays),
-            ("max_range", max_range),
-        ):
-            if not value > 0:
-                raise ValueError(f"{name} must be positive, got {value}.")
+        for name, value in (("goal_radius", goal_radius), ("max_range", max_range)):
+            if not (is_number(value) and value > 0):
+                raise ValueError(f"{name} must be positive, got {shown(value)}.")
+        check_count("num_rays", num_rays)
         self.scene = get_scene(scene)
         self.robot = get_robot(robot)
         self.drive = drive

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from .fields import shown
 from .geometry import cos_sin, norm
 from .objectives import OBJECTIVES, RewardConstants
 from .scenes import HUMAN_RADIUS
@@ -41,7 +43,7 @@ class NavigationTask:
         self.robot_radius = robot_radius
         self.goal_radius = goal_radius
         self.rewards = rewards
-        self._objectives = [OBJECTIVES[name] for name in objectives]
+        self._objectives = {name: OBJECTIVES[name] for name in objectives}
         self.goal = np.zeros((num_envs, 2))
         self.human_pose = np.zeros((num_envs, 3))
         self.human_goal = np.zeros((num_envs, 2))
@@ -138,8 +140,39 @@ class NavigationTask:
         return np.maximum(np.sqrt(squared) - self.robot_radius, 0.0)
 
     def reward(self, before: np.ndarray) -> np.ndarray:
-        """An entry per objective ``[N, K]`` for robots that were at ``before`` [N, 2]."""
-        reward = np.empty((len(before), len(self._objectives)))
-        for entry, objective in enumerate(self._objectives):
-            reward[:, entry] = objective(self, before)
+        """An entry per objective ``[N, K]`` for robots that were at ``before`` [N, 2].
+
+        Raises:
+            ValueError: for an objective that gives something else than a finite number a robot.
+        """
+        shape = (len(before),)
+        reward = np.empty((*shape, len(self._objectives)))
+        for entry, (name, objective) in enumerate(self._objectives.items()):
+            values = objective(self, before)
+            # NumPy would take one number for all, and None for NaN.
+            if not (
+                isinstance(values, np.ndarray)
+                and values.shape == shape
+                and values.dtype.kind in "fiub"
+            ):
+                raise _refused(name, values, shape)
+            reward[:, entry] = values
+        # NaN and infinity survive a sum, which is the cheaper question.
+        if not math.isfinite(np.add.reduce(reward, axis=None)) and not np.isfinite(reward).all():
+            entry = int(np.argwhere(~np.isfinite(reward))[0, 1])
+            raise _refused(list(self._objectives)[entry], reward[:, entry], shape)
         return reward
+
+
+def _refused(name: str, values: object, shape: tuple[int, ...]) -> ValueError:
+    allowed = f"an array of {shape[0]} finite numbers, one an environment"
+    if not isinstance(values, np.ndarray):
+        got = shown(values)
+    elif values.shape != shape:
+        got = f"one of shape {list(values.shape)}"
+    elif values.dtype.kind not in "fiub":
+        got = f"one of {values.dtype}"
+    else:
+        row = int(np.flatnonzero(~np.isfinite(values))[0])
+        got = f"{values[row]} in environment {row}"
+    return ValueError(f"objective {name!r} must return {allowed}, got {got}.")

@@ -114,7 +114,7 @@ OBJECTIVES: dict[str, Objective] = {
     "clearance": clearance,
 }
 """``objective(task, before)`` is what the step earned that led robots from ``before`` [N, 2] to where
-they are, ``[N]``."""
+they are, ``[N]`` and finite."""
 
 
 def get_rewards(rewards: RewardConstants | Mapping[str, Any] | None) -> RewardConstants:
@@ -147,6 +147,11 @@ def check_objectives(objectives: Sequence[str]) -> tuple[str, ...]:
     for name in objectives:
         if not isinstance(name, str) or name not in OBJECTIVES:
             raise ValueError(f"Unknown objective {shown(name)}: choose among {list(OBJECTIVES)}.")
+        if not callable(OBJECTIVES[name]):
+            raise ValueError(
+                f"OBJECTIVES[{name!r}] must be a function of (task, before), got "
+                f"{shown(OBJECTIVES[name])}."
+            )
     if len(set(objectives)) < len(objectives):
         raise ValueError(f"objectives must differ, got {shown(list(objectives))}.")
     return tuple(objectives)

@@ -45,8 +45,9 @@ def main() -> None:
     try:
         check_new_file(args.output)
         policy = load_policy(args.policy)
-        setting = choose(policy.card, scene=args.scene, robot=args.robot)
         gl_context_type()  # says what to install
+        # Last, as it prints: what is refused says nothing else.
+        setting = choose(policy.card, scene=args.scene, robot=args.robot)
     except (OSError, RuntimeError, ValueError) as error:
         parser.error(str(error))
     try:

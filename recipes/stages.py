@@ -38,7 +38,7 @@ def run(name: str, command: Sequence[str]) -> float:
     """Run ``python -m command`` as a stage and return its wall time in seconds.
 
     Ctrl-C and SIGTERM go on to the stage, which saves what it has; if this process is killed, the
-    stage gets SIGTERM.
+    stage gets SIGTERM, and holds a :func:`lock` of this process until it has saved.
 
     Raises:
         SystemExit: if the stage fails, or after it has been asked to stop: with 130 or 143.
@@ -60,6 +60,7 @@ def run(name: str, command: Sequence[str]) -> float:
         stdin=subprocess.DEVNULL,
         start_new_session=True,
         preexec_fn=end_with_parent,
+        close_fds=False,  # Python's own files close all the same, but for those of a lock
     )
     asked: list[int] = []
 
@@ -151,16 +152,26 @@ class Record:
 def lock(folder: Path) -> IO[str] | None:
     """Keep others from a training as long as the file is open; ``None`` if another process has it.
 
+    Stages that :func:`run` begins have it open as well: one that outlives this process, to save what it
+    has, keeps others away until it has ended.
+
     Raises:
         OSError: if the folder cannot be written.
     """
     file = (folder / ".lock").open("w")
+    os.set_inheritable(file.fileno(), True)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         file.close()
         return None
     return file
+
+
+def is_unused(folder: Path) -> bool:
+    """Whether a folder holds nothing, or only what a training leaves that was killed before its record was."""
+    leftovers = (".lock", f".{Record.FILE}.")
+    return folder.is_dir() and all(path.name.startswith(leftovers) for path in folder.iterdir())
 
 
 def unfinished(base: Path) -> Path | None:

@@ -16,10 +16,10 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from .arguments import Parser, episodes, existing_folder
-from .stages import Record, lock, refuse_places, run, unfinished
+from .stages import Record, is_unused, lock, refuse_places, run, unfinished
 from .training.quoting import quoted
 from .training.run_folder import claim, final_policy, is_over, remove_if_refused
 
@@ -37,10 +37,7 @@ def main() -> None:
     parser = make_parser()
     args = parser.parse_args()
     try:
-        record = resumed(args) if args.resume else begun(args)
-        held = lock(record.folder)
-        if held is None:
-            raise ValueError(f"{record.folder} is being trained by another process.")
+        record, held = resumed(args) if args.resume else begun(args)
     except (OSError, ValueError) as error:
         parser.error(" ".join(str(error).split()))
     with held:
@@ -60,7 +57,7 @@ def main() -> None:
 def make_parser() -> argparse.ArgumentParser:
     parser = Parser(description=__doc__)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--output", type=Path, help="folder to write; must not exist")
+    where.add_argument("--output", type=Path, help="folder to write; must not exist, or be empty")
     where.add_argument(
         "--resume", type=existing_folder, help="folder of an unfinished training to go on with"
     )
@@ -74,12 +71,12 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def begun(args: argparse.Namespace) -> Record:
-    """A new training, whose stages have all been checked, in a folder of its own.
+def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
+    """A new training, whose stages have all been checked, in a folder of its own, and its lock.
 
     Raises:
         ValueError: for an override that a stage refuses.
-        FileExistsError: for a folder that is there.
+        FileExistsError: for a folder that holds something.
     """
     options = {
         "drex": args.drex,
@@ -89,7 +86,7 @@ def begun(args: argparse.Namespace) -> Record:
         "episodes": args.episodes,
     }
     output = args.output
-    if output is not None and output.exists():
+    if output is not None and output.exists() and not is_unused(output):
         if (output / Record.FILE).is_file() and not Record.load(output).finished:
             raise FileExistsError(
                 f"{output} holds an unfinished training: go on with --resume {shlex.quote(str(output))}."
@@ -97,7 +94,7 @@ def begun(args: argparse.Namespace) -> Record:
         raise FileExistsError(f"{output} exists and is not overwritten: choose another folder.")
     check(options, output or _RUNS / "new")
     if output is not None:
-        output.mkdir(parents=True)
+        output.mkdir(parents=True, exist_ok=True)
     else:
         if (left := unfinished(_RUNS)) is not None:
             print(
@@ -105,23 +102,47 @@ def begun(args: argparse.Namespace) -> Record:
             )
         output = claim(_RUNS)
     record = Record(output.resolve(), options)
+    held = locked(record)
+    if not is_unused(output):
+        raise FileExistsError(
+            f"{output} has been taken by another training: choose another folder."
+        )
     record.save()
-    return record
+    return record, held
 
 
-def resumed(args: argparse.Namespace) -> Record:
-    """A training that has begun, with the options that it was given then.
+def locked(record: Record) -> IO[str]:
+    """The lock of a training, which nobody else has.
+
+    Raises:
+        ValueError: if another process has it.
+    """
+    held = lock(record.folder)
+    if held is None:
+        raise ValueError(f"{record.folder} is being trained by another process.")
+    return held
+
+
+def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
+    """A training that has begun, with the options that it was given then, and its lock.
 
     Raises:
         ValueError: if it is over, if it is none, or for options that would change it.
     """
+    if is_unused(args.resume):
+        raise ValueError(
+            f"{args.resume} is no training yet, {Record.FILE} not found: begin one in it with --output "
+            f"{shlex.quote(str(args.resume))}."
+        )
     record = Record.load(args.resume.resolve())
     if record.finished:
         raise ValueError(f"{args.resume} is finished: there is nothing to go on with.")
     if args.drex or args.pd_morl or args.mo_ppo or args.without_mo_ppo:
         raise ValueError("--resume goes on with the options of the start: give no others.")
     check(record.options, record.folder)
-    return record
+    held = locked(record)
+    # Another process may have gone on with it, and finished, in the meantime.
+    return Record.load(record.folder), held
 
 
 def check(options: dict[str, Any], output: Path) -> None:

@@ -118,6 +118,7 @@ def untrained_policy(
         num_cells=num_cells,
     )
     actor.eval().requires_grad_(False)
+    actor[0].module.check_preferences("preference", preference_space)
     return Policy(actor, preference_space, sensing, Limits(), 0.2, "untrained", {})
 
 

@@ -68,6 +68,8 @@ class NpzFile:
 
 
 def _load_arrays(path: Path) -> dict[str, np.ndarray]:
+    if path.is_file() and not path.stat().st_size:
+        raise ValueError(f"{path} is empty: it must hold the arrays {', '.join(COLUMNS)}.")
     try:
         file = np.load(path, allow_pickle=False)
         if not isinstance(file, np.lib.npyio.NpzFile):
@@ -81,6 +83,7 @@ def _load_arrays(path: Path) -> dict[str, np.ndarray]:
         ValueError,
         OSError,
         EOFError,
+        MemoryError,  # a header that promises more than any machine has
         RuntimeError,  # an encrypted archive, and NotImplementedError: an unknown compression
         zipfile.BadZipFile,
         zlib.error,

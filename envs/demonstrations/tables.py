@@ -88,7 +88,11 @@ class Table:
             orphans = []
             yield line if line.trajectory else line._replace(trajectory=name)
         if not self._header:
-            raise ValueError(self._wrong_header(1, []))
+            what = "holds nothing but comments" if self.comments else "is empty"
+            columns = ",".join(["trajectory", *self.required])
+            raise ValueError(
+                f"{self.path} {what}: it needs a header, {columns}, and lines below it."
+            )
         if orphans:
             raise ValueError(f"{self.path}, {orphans[0].fault}.")
 

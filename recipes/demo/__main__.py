@@ -15,7 +15,7 @@ import tqdm
 
 from envs.rendering import gl_context_type
 from recipes.arguments import Parser, count
-from recipes.evaluation.setting import choose, demonstrator, scene_seed
+from recipes.evaluation.setting import demonstrator, scene_seed, trained_in
 from recipes.evaluation.sweep import SHIPPED_POLICY, edge, sweep
 from recipes.objectives import known
 from recipes.outputs import claim_folder
@@ -51,13 +51,13 @@ def main() -> None:
                 f"{args.policy} weighs {policy.preference_space.tunable[0]} alone: a demo of preferences "
                 "needs a policy of two objectives or more."
             )
-        setting = choose(policy.card)
+        setting = trained_in(policy.card)
+        shown = demonstrator(policy.card, setting.robot)
         gl_context_type()  # without it there is no film: better said now than at the end
         output = claim_folder(args.output, Path("runs/demo"))
     except (OSError, RuntimeError, ValueError) as error:
         parser.error(str(error))
-    print(f"output {output}")
-    shown = demonstrator(policy.card, setting.robot)
+    print(f"output {output}\n{setting}")
     showroom = {**setting.arguments, "scene": "showcase"}
 
     # The rows of the paper: each trades two objectives off, the others have no weight.

@@ -5,14 +5,16 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 from envs import Robot, Scene, get_robot, get_scene
 from envs.demonstrations import CircleDemonstrator
+from envs.fields import is_number, shown
 from envs.mjcf import Drive
 from envs.policy_env import observed
 from envs.splits import TEST_SEEDS, check_test_seed
 from torchrl_morl.deploy import training_config
+from torchrl_morl.deploy.features import observation_parts
 
 GOAL_RADIUS = 0.3
 """Where a card does not say otherwise, metres."""
@@ -52,17 +54,34 @@ class Setting:
 def trained_in(card: Mapping[str, Any]) -> Setting:
     """What the card says; static scenes and a TurtleBot 2 where it does not.
 
+    Raises:
+        ValueError: for what the card must not say, in one line.
+
     Examples:
         >>> str(trained_in({"config": {"env": {"robot": "hsr", "drive": "wheels"}}}))
         'scene static, robot hsr, drive wheels, goal radius 0.3 m'
     """
     env, evaluation = (training_config(card, section) for section in ("env", "evaluation"))
+    drive, goal_radius = env.get("drive") or "planar", env.get("goal_radius") or GOAL_RADIUS
+    if drive not in get_args(Drive):
+        raise ValueError(
+            f"card: config.env.drive must be one of {', '.join(get_args(Drive))}, got {shown(drive)}."
+        )
+    if not is_number(goal_radius) or goal_radius <= 0:
+        raise ValueError(
+            f"card: config.env.goal_radius must be a number of metres above 0, got {shown(goal_radius)}."
+        )
+    seen = observed({name: value for name, value in env.items() if value is not None})
+    try:
+        observation_parts(**seen)
+    except ValueError as error:
+        raise ValueError(f"card: config.env: {error}") from error
     return Setting(
         scene=get_scene(evaluation.get("scene") or "static"),
         robot=get_robot(env.get("robot") or "turtlebot2"),
-        drive=env.get("drive") or "planar",
-        goal_radius=env.get("goal_radius") or GOAL_RADIUS,
-        observed=observed({name: value for name, value in env.items() if value is not None}),
+        drive=drive,
+        goal_radius=goal_radius,
+        observed=seen,
     )
 
 
@@ -76,13 +95,15 @@ def choose(
     """The setting of the card, but for what is given; says which, and what that means.
 
     Raises:
-        ValueError: for a scene or robot that does not exist.
+        ValueError: for a scene or robot that does not exist, or a card that :func:`trained_in` or
+            :func:`demonstrator` refuses.
     """
     trained = trained_in(card)
     given = {"scene": scene, "robot": robot, "drive": drive}
     parse = {"scene": get_scene, "robot": get_robot, "drive": str}
     changes = {name: parse[name](value) for name, value in given.items() if value is not None}
     setting = dataclasses.replace(trained, **changes)
+    demonstrator(card, setting.robot)  # what it refuses is refused before anything is said
     print(f"{setting}")
     for name, value in changes.items():
         before = getattr(trained, name)
@@ -104,11 +125,38 @@ def scene_seed(text: str) -> int:
         raise argparse.ArgumentTypeError(reason) from error
 
 
+def demonstration(card: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of the demonstrator that a card names, but for its robot; empty if it names none.
+
+    Raises:
+        ValueError: for others than a circle has, or of another type.
+    """
+    given = card.get("demonstrator", {})
+    if not isinstance(given, Mapping):
+        raise ValueError(f"card: demonstrator must be an object, got {shown(given)}.")
+    for name, value in given.items():
+        if name not in ("radius", "side", "speed", "robot"):
+            raise ValueError(f"card: demonstrator has radius, side and speed, not {shown(name)}.")
+        if name in ("radius", "speed") and not is_number(value):
+            raise ValueError(f"card: demonstrator.{name} must be a number, got {shown(value)}.")
+    return {name: value for name, value in given.items() if name != "robot"}
+
+
 def demonstrator(card: Mapping[str, Any], robot: Robot) -> CircleDemonstrator | None:
-    """Drives what the policy was shown, on a robot; ``None`` for recorded demonstrations, or none."""
+    """Drives what the policy was shown, on a robot; ``None`` for recorded demonstrations, or none.
+
+    Raises:
+        ValueError: for what no demonstrator is, or what this robot cannot drive.
+    """
     if "demonstrator" not in card:
         return None
-    return CircleDemonstrator(**card["demonstrator"] | {"robot": robot})
+    try:
+        return CircleDemonstrator(**demonstration(card), robot=robot)
+    except ValueError as error:
+        message = str(error)
+        raise ValueError(
+            message if message.startswith("card: ") else f"card: demonstrator: {message}"
+        ) from error
 
 
 def _named(value: Scene | Robot | str) -> str:

@@ -49,7 +49,7 @@ from .start import check_start, complete
 @command.recipe("config", Config)
 def main(cfg: DictConfig) -> None:
     """Polish a policy, evaluate it on the way, and save what is evaluated."""
-    loaded = load_policy(cfg.policy, device=cfg.device)
+    loaded = load_policy(cfg.policy, device=cfg.device, check_preferences=False)
     cfg = complete(cfg, loaded.card)
     task = make_task(cfg)
     check_start(cfg, task, loaded.actor, loaded.preference_space)

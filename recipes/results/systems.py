@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable
+import reprlib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
 from ..evaluation.references import make_reference
-from ..evaluation.setting import trained_in
+from ..evaluation.setting import demonstration, trained_in
 
 _REFERENCE = "reference:"
 
@@ -125,8 +126,9 @@ def load_system(argument: str) -> System:
         members.append(
             Member(seed, lambda _, actor=policy.actor: actor, source, trained_in(card).observed)
         )
-        shown = {key: v for key, v in card.get("demonstrator", {}).items() if key != "robot"}
-        facts.append((policy.preference_space, shown, card.get("preference") == "ignored"))
+        facts.append(
+            (policy.preference_space, demonstration(card), card.get("preference") == "ignored")
+        )
     if any(fact != facts[0] for fact in facts):
         raise ValueError(
             f"{name}: the policies differ in more than their seed (objectives, demonstration)."
@@ -145,7 +147,20 @@ def _seeds(cards: list[dict[str, Any]]) -> list[int]:
     for place, card in enumerate(cards):
         stages = [card]
         while "start" in stages[-1]:
-            stages.append(stages[-1]["start"])
-        histories.append([stage.get("config", {}).get("seed", place) for stage in stages[::-1]])
+            start = stages[-1]["start"]
+            if not isinstance(start, Mapping):
+                raise ValueError(f"card: start must be an object, got {reprlib.repr(start)}.")
+            stages.append(start)
+        histories.append([_seed(stage, place) for stage in stages[::-1]])
     stages = [list(seeds) for seeds in zip(*histories)]
     return next((seeds for seeds in stages if len(set(seeds)) == len(seeds)), stages[0])
+
+
+def _seed(card: Mapping[str, Any], place: int) -> int:
+    config = card.get("config", {})
+    if not isinstance(config, Mapping):
+        raise ValueError(f"card: config must be an object, got {reprlib.repr(config)}.")
+    seed = config.get("seed", place)
+    if not isinstance(seed, int):
+        raise ValueError(f"card: config.seed must be a whole number, got {reprlib.repr(seed)}.")
+    return seed

@@ -145,6 +145,8 @@ class _Command:
         self.was_there = False
         """The run folder, before this command."""
         self.was_empty = True
+        self.made: list[Path] = []
+        """Folders above it that were not there."""
         self.overrides: list[str] = []
         self.debug = False
 
@@ -166,6 +168,7 @@ class _Command:
         line, code = error_line(failure, self.run_dir, go_on=self._go_on())
         if self.run_dir is not None and self.was_empty:
             run_folder.remove_if_refused(self.run_dir, keep=self.was_there)
+            run_folder.remove_empty(self.made)
         is_stop = isinstance(failure, Stopped | KeyboardInterrupt)
         if line is None or (self.debug and not is_stop):
             raise failure
@@ -203,11 +206,14 @@ class _Command:
             )
         # What only shows the configuration makes no folder.
         shows = bool(args.cfg or args.info or args.hydra_help or args.shell_completion)
-        _register_new_run(run_folder.free_name if shows else run_folder.claim)
+        _register_new_run(run_folder.free_name if shows else self._claim)
         multirun = args.multirun or "hydra.mode=MULTIRUN" in args.overrides
-        self.overrides = resumed(
-            prepared(args.overrides, self.schema, self.folder, multirun=multirun)
-        )
+        overrides = prepared(args.overrides, self.schema, self.folder, multirun=multirun)
+        if multirun and (asked := [one for one in overrides if one.startswith("resume=")]):
+            raise ConfigurationError(
+                f"{asked[-1]} goes on with one run, where it is: leave out --multirun."
+            )
+        self.overrides = resumed(overrides)
         if not shows:
             self._check(multirun=multirun)
         options = _options(args)
@@ -222,6 +228,10 @@ class _Command:
         ):
             task()
 
+    def _claim(self, base: Path) -> Path:
+        self.made = run_folder.missing(base)
+        return run_folder.claim(base)
+
     def _check(self, *, multirun: bool) -> None:
         """Check everything that will run, then claim or check its folder."""
         with _composing(self.folder):
@@ -230,15 +240,14 @@ class _Command:
                 config = OmegaConf.masked_copy(cfg, [name for name in cfg if name != "hydra"])
                 validate(self.schema, OmegaConf.to_container(config, resolve=True))
         resumed = config.get("resume")
-        if resumed is not None and (
-            multirun or Path(cfg.hydra.run.dir).resolve() != Path(resumed).resolve()
-        ):
+        if resumed is not None and Path(cfg.hydra.run.dir).resolve() != Path(resumed).resolve():
             raise ConfigurationError(
-                f"resume={resumed} goes on in its own folder: leave out hydra.run.dir and --multirun."
+                f"resume={resumed} goes on in its own folder: leave out hydra.run.dir."
             )
         folder = Path(cfg.hydra.sweep.dir if multirun else cfg.hydra.run.dir)
         if folder not in _new_runs.values():
             self.was_there = folder.exists()
+            self.made = run_folder.missing(folder.parent)
             self.was_empty = resumed is None
             if self.was_empty:
                 run_folder.check_new(folder)

@@ -85,7 +85,10 @@ def resumed(overrides: Sequence[str]) -> list[str]:
     given = [one.removeprefix("resume=") for one in overrides if one.startswith("resume=")]
     if not given or given[-1] == "null":
         return list(overrides)
-    run = Path(OverridesParser.create().parse_override(f"resume={given[-1]}").value())
+    value = OverridesParser.create().parse_override(f"resume={given[-1]}").value()
+    if not isinstance(value, str):  # said by the check of the field, or by Hydra
+        return list(overrides)
+    run = Path(value)
     file = run / ".hydra" / "overrides.yaml"
     if not file.is_file():  # said by the check of the field
         return list(overrides)

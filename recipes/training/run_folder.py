@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import itertools
 import json
@@ -11,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +87,18 @@ def remove_if_refused(run_dir: Path, *, keep: bool = False) -> None:
         shutil.rmtree(run_dir / ".hydra", ignore_errors=True)
         if not keep:
             run_dir.rmdir()
+
+
+def missing(folder: Path) -> list[Path]:
+    """The folder and those above it, as far as they are not there."""
+    return [path for path in (folder, *folder.parents) if not path.exists()]
+
+
+def remove_empty(folders: Iterable[Path]) -> None:
+    """Remove folders that are empty, the innermost first."""
+    for path in folders:
+        with contextlib.suppress(OSError):  # it holds something, or is not there
+            path.rmdir()
 
 
 def write_atomically(path: Path, text: str) -> None:

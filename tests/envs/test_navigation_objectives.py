@@ -173,3 +173,39 @@ def test_another_objective_is_a_function_and_an_entry(monkeypatch):
     env = NavigationEnv(objectives=("core", "hurry"), num_envs=2, num_threads=1, seed=0)
     step = env.rollout(1)["next"]
     torch.testing.assert_close(step["reward"][..., 1], -step["goal"][..., 0])
+
+
+@pytest.mark.parametrize(
+    ("objective", "got"),
+    [
+        (lambda task, before: None, "got None"),
+        (lambda task, before: -1.0, "got -1.0"),
+        (lambda task, before: [0.0] * len(before), "got [0.0, 0.0, 0.0]"),
+        (lambda task, before: np.zeros((len(before), 1)), "got one of shape [3, 1]"),
+        (lambda task, before: np.zeros(1), "got one of shape [1]"),
+        (lambda task, before: np.zeros(len(before), complex), "got one of complex128"),
+        (lambda task, before: np.full(len(before), "far"), "got one of <U3"),
+        (lambda task, before: torch.zeros(len(before)), "got tensor([0., 0., 0.])"),
+        (lambda task, before: np.array([0.0, np.nan, 0.0]), "got nan in environment 1"),
+        (lambda task, before: np.array([0.0, 0.0, -np.inf]), "got -inf in environment 2"),
+    ],
+)
+def test_what_an_objective_returns_is_refused_by_its_name(objective, got, monkeypatch):
+    monkeypatch.setitem(OBJECTIVES, "mine", objective)
+    env = NavigationEnv(num_envs=3, seed=0, objectives=("core", "mine"))
+    with pytest.raises(ValueError) as error:
+        env.rollout(2)
+    allowed = "objective 'mine' must return an array of 3 finite numbers, one an environment"
+    assert str(error.value) == f"{allowed}, {got}."
+
+
+def test_an_objective_of_whole_numbers_or_of_one_bit(monkeypatch):
+    monkeypatch.setitem(OBJECTIVES, "mine", lambda task, before: task.flags[:, 0])
+    env = NavigationEnv(num_envs=3, seed=0, objectives=("core", "mine"))
+    assert (env.rollout(2)["next", "reward"][..., 1] == 0).all()
+
+
+def test_an_entry_that_is_no_function_is_refused(monkeypatch):
+    monkeypatch.setitem(OBJECTIVES, "mine", -1.0)
+    with pytest.raises(ValueError, match=r"OBJECTIVES\['mine'\] must be a function .* got -1.0"):
+        NavigationEnv(objectives=("mine",))

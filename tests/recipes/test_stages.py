@@ -87,6 +87,39 @@ def test_a_stage_ends_when_its_parent_is_killed(parent):
     assert told.read_text() == f"{int(signal.SIGTERM)} "
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="prctl is Linux's")
+def test_a_stage_that_saves_keeps_the_lock_of_a_parent_that_was_killed(tmp_path):
+    """A second training in the folder would write beside it."""
+    (tmp_path / "stage.py").write_text(
+        "import os, signal, sys, time\n"
+        "def told(number, frame):\n"
+        "    while not os.path.exists('saved'): time.sleep(0.02)\n"
+        "    sys.exit(5)\n"
+        "signal.signal(signal.SIGTERM, told)\n"
+        "open('begun', 'w').close()\n"
+        "time.sleep(60)\n"
+    )
+    code = "from pathlib import Path; from recipes.stages import lock, run\n"
+    code += "with lock(Path('.')): run('it', ['stage'])"
+    path = os.pathsep.join([str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    environ = {**os.environ, "PYTHONPATH": path}
+    parent = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, env=environ)
+    try:
+        assert eventually((tmp_path / "begun").exists)
+        parent.kill()
+        parent.wait()
+        assert lock(tmp_path) is None
+    finally:
+        parent.kill()
+        (tmp_path / "saved").touch()
+
+    def free() -> bool:
+        held = lock(tmp_path)
+        return held is not None and held.close() is None
+
+    assert eventually(free)
+
+
 def test_a_stage_that_fails_is_named():
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     with pytest.raises(SystemExit, match=r"D-REX failed with exit code 2; see above\."):

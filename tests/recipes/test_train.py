@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import recipes.train
+from recipes.stages import Record, lock
 
 
 def save_scores(folder: Path, scores: list[float]) -> None:
@@ -87,14 +88,50 @@ def test_train_runs_its_stages_one_after_the_other(polish, tmp_path, monkeypatch
     assert f"python -m recipes.demo --policy {policy}" in capsys.readouterr().out
 
 
-def test_train_refuses_a_folder_that_exists(tmp_path, monkeypatch, capsys):
+def test_train_refuses_a_folder_that_holds_something(tmp_path, monkeypatch, capsys):
+    (tmp_path / "mine").write_text("")
     monkeypatch.setattr(recipes.train, "run", lambda *_: pytest.fail("a stage has begun"))
     monkeypatch.setattr(sys, "argv", ["train.py", "--output", str(tmp_path)])
     with pytest.raises(SystemExit) as stop:
         recipes.train.main()
     assert stop.value.code == 2
     assert f"{tmp_path} exists and is not overwritten" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize("left", [[], [".lock"], [".lock", ".stages.json.123"]])
+def test_train_begins_in_a_folder_that_one_killed_at_once_has_left(
+    left, tmp_path, monkeypatch, capsys
+):
+    """Between the making of the folder and its record nothing is lost, and nothing is in the way."""
+    for name in left:
+        (tmp_path / name).write_text("")
+    begun = []
+    monkeypatch.setattr(recipes.train, "train", lambda record: begun.append(record))
+    monkeypatch.setattr(sys, "argv", ["train.py", "--resume", str(tmp_path)])
+    with pytest.raises(SystemExit):
+        recipes.train.main()
+    assert f"begin one in it with --output {tmp_path}" in capsys.readouterr().err
+    monkeypatch.setattr(sys, "argv", ["train.py", "--output", str(tmp_path)])
+    recipes.train.main()
+    assert [record.folder for record in begun] == [tmp_path]
+    assert Record.load(tmp_path).options["episodes"] == 100
+
+
+@pytest.mark.parametrize("option", ["--output", "--resume"])
+def test_train_leaves_a_folder_alone_that_another_process_has(
+    option, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(recipes.train, "train", lambda record: pytest.fail("it has begun"))
+    options = {"drex": [], "pd_morl": [], "mo_ppo": [], "without_mo_ppo": True, "episodes": 1}
+    if option == "--resume":
+        Record(tmp_path, options).save()
+    before = sorted(path.name for path in tmp_path.iterdir())
+    monkeypatch.setattr(sys, "argv", ["train.py", option, str(tmp_path)])
+    with lock(tmp_path), pytest.raises(SystemExit):
+        recipes.train.main()
+    assert f"{tmp_path} is being trained by another process" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*before, ".lock"])
 
 
 def test_train_stops_at_the_first_stage_that_fails():

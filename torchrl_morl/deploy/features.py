@@ -23,6 +23,7 @@ __all__ = [
     "NUM_SECTORS",
     "OBSERVATION_SIZE",
     "PARTS",
+    "RowFeatures",
     "observation",
     "observation_parts",
     "policy_transforms",
@@ -162,3 +163,57 @@ def observation(
     if sensing.observe_human_velocity:
         parts.append(human_velocity)
     return torch.cat(parts, dim=-1)
+
+
+class RowFeatures:
+    """What the network reads of inputs that stand in a row: :func:`observation`, then the preference.
+
+    The same numbers in half of the operations: on one observation their count is what costs.
+
+    Args:
+        sensing: of the policy.
+        num_tunable: entries of the preference.
+        like: has the dtype and the device.
+
+    Example:
+        >>> import torch
+        >>> sensing = Sensing(num_sectors=2)
+        >>> row = torch.tensor([4.0, 4.0, 5.0, 0.0, 5.0, 0.0, 0.3, 0.7])
+        >>> RowFeatures(sensing, 2, like=row)(row)
+        tensor([0.0000, 0.0000, 1.0000, 0.0000, 1.0000, 2.5000, 0.0000, 1.0000, 0.3000,
+                0.7000])
+    """
+
+    def __init__(self, sensing: Sensing, num_tunable: int, like: Tensor) -> None:
+        self.num_sectors, self.max_range = sensing.num_sectors, sensing.max_range
+        sources, scales = list(range(self.num_sectors)), [self.max_range] * self.num_sectors
+        self.num_positions = 1 + sensing.observe_human
+        for scale in (sensing.goal_scale, sensing.human_scale)[: self.num_positions]:
+            distance = sources[-1] + 1
+            # The bearing twice, for its sine and its cosine.
+            sources += [distance, distance + 1, distance + 1]
+            scales += [scale, 1.0, 1.0]
+        rest = 2 * sensing.observe_human_velocity + num_tunable
+        sources += range(sources[-1] + 1, sources[-1] + 1 + rest)
+        scales += [1.0] * rest
+        self._sources = torch.tensor(sources, device=like.device)
+        self._scales, self._three = like.new_tensor(scales), like.new_tensor(3.0)
+
+    def __call__(self, row: Tensor) -> Tensor:
+        """Features ``[*B, observation_size + T]``.
+
+        Args:
+            row: lidar, goal, human and human_velocity, as far as the policy reads them, and preference,
+                ``[*B, R]``. What stands behind them is ignored.
+        """
+        features = row.index_select(-1, self._sources).div_(self._scales)
+        lidar = features.narrow(-1, 0, self.num_sectors)
+        lidar.clamp_min_(1e-3 / self.max_range).log_().div_(self._three)
+        _, sine, cosine = (
+            features.narrow(-1, self.num_sectors, 3 * self.num_positions)
+            .unflatten(-1, (self.num_positions, 3))
+            .unbind(-1)
+        )
+        sine.sin_()
+        cosine.cos_()
+        return features

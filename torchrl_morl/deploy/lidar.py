@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .entries import is_finite, one_line
 from .sensing import Sensing
 
 __all__ = ["LidarGeometry"]
@@ -60,14 +62,17 @@ class LidarGeometry:
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mount", tuple(self.mount))
         for name in ("first_angle", "increment", "range_min", "range_max"):
-            if not math.isfinite(getattr(self, name)):
+            if not is_finite(getattr(self, name)):
                 raise self._refused(name, "finite")
-        if len(self.mount) != 3 or not all(map(math.isfinite, self.mount)):
+        if not isinstance(self.mount, Sequence | np.ndarray) or len(self.mount) != 3:
+            raise self._refused("mount", "x, y and yaw")
+        if not all(map(is_finite, self.mount)):
             raise self._refused("mount", "x, y and yaw, all finite")
-        if isinstance(self.num_beams, bool) or int(self.num_beams) != self.num_beams:
+        object.__setattr__(self, "mount", tuple(map(float, self.mount)))
+        if not isinstance(self.num_beams, int | np.integer) or isinstance(self.num_beams, bool):
             raise self._refused("num_beams", "an integer")
+        object.__setattr__(self, "num_beams", int(self.num_beams))
         if self.num_beams < 1:
             raise self._refused("num_beams", "at least 1")
         if self.increment == 0:
@@ -159,10 +164,16 @@ class LidarGeometry:
         return np.cos(self._angles), np.sin(self._angles)
 
     def _array(self, ranges: ArrayLike) -> np.ndarray:
+        if isinstance(ranges, np.ma.MaskedArray):
+            # What is masked is invalid, whatever stands behind the mask.
+            ranges = np.ma.filled(ranges.astype(np.float64), np.nan)
         try:
-            ranges = np.asarray(ranges, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise ValueError("ranges must be numbers, one a beam.") from error
+            ranges = np.asarray(ranges)
+            if ranges.dtype.kind not in "fiu":
+                raise ValueError(f"they are {ranges.dtype}")
+            ranges = ranges.astype(np.float64, copy=False)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise ValueError(f"ranges must be numbers, one a beam: {one_line(error)}.") from error
         if ranges.ndim == 0 or ranges.shape[-1] != self.num_beams:
             raise ValueError(
                 f"ranges must have shape [..., {self.num_beams}], one a beam, "
@@ -171,4 +182,4 @@ class LidarGeometry:
         return ranges
 
     def _refused(self, name: str, allowed: str) -> ValueError:
-        return ValueError(f"lidar: {name} must be {allowed}, got {getattr(self, name)}.")
+        return ValueError(f"lidar: {name} must be {allowed}, got {getattr(self, name)!r}.")

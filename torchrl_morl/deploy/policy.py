@@ -12,13 +12,14 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from tensordict.nn import TensorDictSequential
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.functional import linear
 
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import check_finite
 
 from .entries import one_line
-from .features import observation
+from .features import RowFeatures
 from .sensing import Limits, Sensing
 
 __all__ = ["Policy"]
@@ -33,9 +34,10 @@ class Policy:
     """A trained policy, as :func:`load_policy` returns it.
 
     Args:
-        actor: the network alone: features and preference in, action in [-1, 1] out. It checks
-            nothing. In an environment made by ``envs.policy_env.make_policy_env`` it is all that is
-            needed.
+        actor: the network alone: features and preference in, action in [-1, 1] out. In an environment
+            made by ``envs.policy_env.make_policy_env`` it is all that is needed. That of
+            :func:`load_policy` refuses a preference off the simplex, in eager mode; compiled or
+            exported it checks sizes and precision alone.
         preference_space: what the entries of a preference mean.
         sensing: what it was trained to sense; ``None`` if its file does not tell.
         limits: of its commands.
@@ -114,13 +116,14 @@ class Policy:
         given["preference"] = preference
         tensors = any([isinstance(value, Tensor) for value in given.values()])
         with torch.inference_mode():
-            inputs = self._checked(given, tensors)
-            preference = inputs.pop("preference")
-            features = observation(sensing, **inputs)
-            action = torch.cat((features, preference), -1)
-            # Without the bookkeeping of Module.__call__, a fifth of the time of one observation.
-            for layer in self._layers:
-                action = layer(action)
+            action = self._features(self._checked(given, tensors))
+            if torch.is_autocast_enabled(action.device.type):
+                action = self.actor[0].module(action)
+            else:
+                # Without the bookkeeping of Module.__call__ and of attributes, a third of the time of
+                # one observation.
+                for layer in self._layers:
+                    action = layer(action)
             action = action.tanh()
             middle, half = self._middle_and_half
             action = torch.addcmul(middle, half, action)
@@ -139,7 +142,11 @@ class Policy:
 
     @functools.cached_property
     def _layers(self) -> list[Callable[[Tensor], Tensor]]:
-        return [layer.forward for layer in self.actor[0].module]
+        return [_bare(layer) for layer in self.actor[0].module]
+
+    @functools.cached_property
+    def _features(self) -> RowFeatures:
+        return RowFeatures(self.sensing, self.preference_space.num_tunable, self._like)
 
     @functools.cached_property
     def _middle_and_half(self) -> tuple[Tensor, Tensor]:
@@ -148,25 +155,35 @@ class Policy:
         low, high = self._like.new_tensor((limits.speed, limits.turn_rate)).T
         return (high + low) / 2, (high - low) / 2
 
-    def _checked(self, given: Mapping[str, Any], tensors: bool) -> dict[str, Tensor]:
-        """Inputs as tensors of one batch shape, with distances in the trained range."""
-        like = self._like
-        sizes = {"lidar": self.sensing.num_sectors, "preference": self.preference_space.num_tunable}
+    @functools.cached_property
+    def _sizes(self) -> dict[str, int]:
+        return {
+            "lidar": self.sensing.num_sectors,
+            "goal": 2,
+            "human": 2,
+            "human_velocity": 2,
+            "preference": self.preference_space.num_tunable,
+        }
+
+    def _checked(self, given: Mapping[str, Any], tensors: bool) -> Tensor:
+        """Inputs in a row, with distances in the trained range, and behind them the preference's sum."""
+        like, sizes = self._like, self._sizes
         dtype = like.dtype if tensors else _NUMPY[like.dtype]
         inputs, batches = {}, set()
         for name, value in given.items():
             try:
+                if isinstance(value, np.ma.MaskedArray):
+                    # Not finite, which is refused below: what stands behind a mask is no reading.
+                    value = np.ma.filled(value.astype(np.float64), np.nan)
                 value = torch.as_tensor(value) if tensors else np.asarray(value)
             except (TypeError, ValueError, RuntimeError) as error:
                 raise ValueError(f"{name} is no array of numbers: {one_line(error)}.") from error
-            if value.dtype.is_complex if tensors else value.dtype.kind not in "fiub":
-                raise ValueError(f"{name} is no array of numbers: it is {value.dtype}.")
+            if not (_is_numeric(value) if tensors else value.dtype.kind in "fiub"):
+                raise ValueError(f"{name} is no array of numbers: it is {_kind(value)}.")
             value = value.to(like.device, dtype) if tensors else value.astype(dtype, copy=False)
             shape = value.shape
-            if not shape or shape[-1] != sizes.get(name, 2):
-                raise ValueError(
-                    f"{name} must have shape [..., {sizes.get(name, 2)}], got {list(shape)}."
-                )
+            if not shape or shape[-1] != sizes[name]:
+                raise ValueError(f"{name} must have shape [..., {sizes[name]}], got {list(shape)}.")
             inputs[name] = value
             batches.add(shape[:-1])
         if len(batches) > 1:
@@ -177,28 +194,37 @@ class Policy:
                 raise ValueError(f"batch shapes do not go together: {shapes}.") from error
             expand = torch.Tensor.expand if tensors else np.broadcast_to
             inputs = {n: expand(value, (*batch, value.shape[-1])) for n, value in inputs.items()}
-        sizes = [sizes.get(name, 2) for name in inputs]
+        preference = inputs["preference"]
         if tensors:
-            everything = torch.cat(list(inputs.values()), -1)
+            total = preference.sum(-1, keepdim=True)
+            everything = torch.cat((*inputs.values(), total), -1)
         else:
-            everything = torch.from_numpy(np.concatenate(list(inputs.values()), -1)).to(like.device)
-        total = everything.narrow(-1, -sizes[-1], sizes[-1]).sum(-1, keepdim=True)
-        everything = torch.cat((everything, total), -1)
+            total = preference.sum(-1, keepdims=True)
+            everything = torch.from_numpy(np.concatenate((*inputs.values(), total), -1))
+            if like.device.type != "cpu":
+                everything = everything.to(like.device)
         low, high, trained = self._bounds
         clamped = everything.clamp(low, trained)
         # Equal only if nothing is NaN or out of bounds; what is wrong is then looked for.
         as_trained = torch.equal(clamped, everything)
         if not as_trained and not torch.equal(everything.clamp(low, high), everything):
-            inputs = dict(zip(inputs, everything[..., :-1].split(sizes, -1)))
-            check_finite(inputs, list(inputs))
-            self.preference_space.validate(inputs["preference"], tol=_TOLERANCE)
-            for name, value in inputs.items():
-                lengths = value if name == "lidar" else value[..., :1]
-                if name != "human_velocity" and lengths.min() < 0:
-                    raise ValueError(
-                        f"{name} has the length {lengths.min():g} m: it must not be negative."
-                    )
-        return dict(zip(inputs, clamped.split([*sizes, 1], -1)))
+            self._refuse(dict(zip(inputs, everything.split([*(sizes[n] for n in inputs), 1], -1))))
+        return clamped
+
+    def _refuse(self, inputs: Mapping[str, Tensor]) -> None:
+        """Say what is wrong with them.
+
+        Raises:
+            ValueError: for the first thing.
+        """
+        check_finite(inputs, list(inputs))
+        self.preference_space.validate(inputs["preference"], tol=_TOLERANCE)
+        for name, value in inputs.items():
+            lengths = value if name == "lidar" else value[..., :1]
+            if name != "human_velocity" and lengths.min() < 0:
+                raise ValueError(
+                    f"{name} has the length {lengths.min():g} m: it must not be negative."
+                )
 
     @functools.cached_property
     def _bounds(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -214,3 +240,29 @@ class Policy:
         rows += [(1 - _TOLERANCE, 1 + _TOLERANCE, 1 + _TOLERANCE)]  # the sum of the preference
         low, high, trained = self._like.new_tensor(rows).T.contiguous()
         return low, high, trained
+
+
+def _bare(layer: nn.Module) -> Callable[[Tensor], Tensor]:
+    """What a layer computes, without its bookkeeping. Parameters are always the present ones."""
+    parameters = layer._parameters
+    if not isinstance(layer, nn.Linear) or parameters.keys() != {"weight", "bias"}:
+        return layer.forward
+    # Not a closure: copies of a policy must take their own parameters along.
+    return functools.partial(_linear, parameters)
+
+
+def _linear(parameters: Mapping[str, Tensor], features: Tensor) -> Tensor:
+    return linear(features, parameters["weight"], parameters["bias"])
+
+
+def _is_numeric(value: Tensor) -> bool:
+    """Whether a tensor is of real numbers, which are there and not quantized."""
+    if value.is_meta or value.is_quantized or value.layout is not torch.strided:
+        return False
+    return not value.dtype.is_complex
+
+
+def _kind(value: np.ndarray | Tensor) -> str:
+    if isinstance(value, Tensor) and value.layout is not torch.strided:
+        return str(value.layout)
+    return "on the meta device" if isinstance(value, Tensor) and value.is_meta else str(value.dtype)

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from tensordict.nn import TensorDictSequential
+from tensordict.utils import NestedKey
 from torchrl.data import Bounded
 
 from torchrl_morl.modules import make_actor
@@ -83,12 +84,21 @@ def save_policy(
     return write_module(folder, _KIND, actor, config)
 
 
-def load_policy(folder: str | Path, device: torch.device | str | None = None) -> Policy:
+def load_policy(
+    folder: str | Path,
+    device: torch.device | str | None = None,
+    *,
+    check_preferences: bool = True,
+) -> Policy:
     """Read a policy written by :func:`save_policy`.
 
     Args:
         folder: with ``policy.safetensors`` and ``policy.json``, also of earlier versions.
         device: where to put the actor.
+
+    Keyword Args:
+        check_preferences: whether its actor refuses preferences off the simplex, in eager mode. On an
+            accelerator that waits for the device. A training that goes on from the actor does without.
 
     Returns:
         The policy. Its actor is in evaluation mode, without gradients.
@@ -153,7 +163,18 @@ def load_policy(folder: str | Path, device: torch.device | str | None = None) ->
     if not ((low == -1).all() and (high == 1).all()):
         raise ValueError(f"{where} describes no policy: its actions are not in [-1, 1].")
     actor.requires_grad_(False).eval().to(device)
+    if check_preferences and (key := _preference_key(actor, sensing)) is not None:
+        actor[0].module.check_preferences(key, preference_space)
     return Policy(actor, preference_space, sensing, limits, period, robot, card)
+
+
+def _preference_key(actor: TensorDictSequential, sensing: Sensing | None) -> NestedKey | None:
+    """The actor's input that is the preference, if that can be told."""
+    keys = list(actor[0].in_keys)
+    if sensing is not None:
+        return keys[-1]
+    named = [key for key in keys if "preference" in (key, key[-1])]
+    return named[0] if len(named) == 1 else None
 
 
 def _describe(actor: TensorDictSequential) -> dict[str, Any]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .entries import is_finite, one_line
 from .lidar import LidarGeometry
 from .policy import Policy
 
@@ -116,6 +117,10 @@ class PolicyRunner:
         max_speed: float | None = None,
         max_turn_rate: float | None = None,
     ) -> None:
+        if not isinstance(policy, Policy):
+            raise ValueError(f"policy must be a Policy, from load_policy, got {policy!r}.")
+        if not isinstance(lidar, LidarGeometry):
+            raise ValueError(f"lidar must be a LidarGeometry, got {lidar!r}.")
         if policy.sensing is None:
             raise ValueError("the file of this policy does not tell what it senses.")
         lidar.check(policy.sensing)
@@ -129,8 +134,8 @@ class PolicyRunner:
         )
         for name in ("goal_radius", "timeout", "max_speed", "max_turn_rate"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be finite and positive, got {value}.")
+            if not (is_finite(value) and value > 0):
+                raise ValueError(f"{name} must be finite and positive, got {value!r}.")
         self._time: float | None = None
         self._human: tuple[float, float, float] | None = None
         self._velocity = (0.0, 0.0)
@@ -165,9 +170,10 @@ class PolicyRunner:
                 (m) and heading (rad). The velocity is then that between two positions of the human;
                 at first sight it is 0.
         """
-        last, self._time = self._time, time if _is_finite(time) else self._time
-        if not _is_finite(time) or not _is_finite(stamp):
-            return self._stop("clock", f"time and stamp must be finite, got {time} and {stamp}")
+        last, self._time = self._time, time if is_finite(time) else self._time
+        if not is_finite(time) or not is_finite(stamp):
+            given = f"{_shown(time)} and {_shown(stamp)}"
+            return self._stop("clock", f"time and stamp must be finite numbers, got {given}")
         if last is not None and time <= last:
             return self._stop("clock", f"time is {time} s, at the last step it was {last} s")
         age = time - stamp
@@ -200,8 +206,11 @@ class PolicyRunner:
                 human=human,
                 human_velocity=None if human is None else human_velocity,
             )
-        except (TypeError, ValueError) as error:
-            return self._stop("refused", str(error).rstrip("."))
+        except ValueError as error:
+            return self._stop("refused", one_line(error).rstrip("."))
+        except Exception as error:
+            # Whatever objects are given may raise whatever they like: the robot stops.
+            return self._stop("refused", f"{type(error).__name__}: {one_line(error)}".rstrip("."))
         if command.shape != (2,):
             return self._stop("refused", f"one preference at a time, got {len(command)}")
         if unknown.all():
@@ -220,9 +229,7 @@ class PolicyRunner:
         self, human: tuple[float, float], odometry: Sequence[float], stamp: float
     ) -> tuple[float, float]:
         """Of the human since the last step, along the axes of the robot."""
-        x, y, heading = (float(value) for value in odometry)
-        if not all(map(math.isfinite, (x, y, heading))):
-            raise ValueError(f"odometry must be finite, got {(x, y, heading)}")
+        x, y, heading = _numbers("odometry", odometry, "x, y and heading", 3)
         distance, bearing = human
         x += distance * math.cos(heading + bearing)
         y += distance * math.sin(heading + bearing)
@@ -244,16 +251,30 @@ class PolicyRunner:
         return Command(0.0, 0.0, reason, detail, until)
 
 
-def _is_finite(value: object) -> bool:
-    return isinstance(value, (int, float, np.number)) and math.isfinite(value)
+def _shown(value: object) -> str:
+    try:
+        return one_line(repr(value))
+    except Exception:  # whatever an object does instead of telling what it is
+        return f"a {type(value).__name__}"
+
+
+def _numbers(name: str, value: Sequence[float], what: str, count: int) -> tuple[float, ...]:
+    # A set or a mapping has no order that anybody meant.
+    unordered = isinstance(value, Set | Mapping)
+    try:
+        numbers = () if unordered else tuple(float(entry) for entry in value)
+    except (TypeError, ValueError, OverflowError):
+        numbers = ()
+    if len(numbers) != count:
+        raise ValueError(f"{name} must be {what}, got {_shown(value)}")
+    if not all(map(math.isfinite, numbers)):
+        raise ValueError(f"{name} must be finite, got {numbers}")
+    return numbers
 
 
 def _polar(name: str, value: Sequence[float]) -> tuple[float, float]:
-    try:
-        distance, bearing = (float(entry) for entry in value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be a distance and a bearing, got {value!r}") from error
-    if not (math.isfinite(distance) and math.isfinite(bearing) and distance >= 0):
+    distance, bearing = _numbers(name, value, "a distance and a bearing", 2)
+    if distance < 0:
         raise ValueError(
             f"{name} must be finite, with a distance of at least 0, got {(distance, bearing)}"
         )

@@ -11,6 +11,8 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 from torchrl.modules import MLP
 
+from torchrl_morl.preferences import PreferenceSpace
+
 __all__ = ["NamedInputsMLP", "resolve_in_features"]
 
 
@@ -42,10 +44,39 @@ environment, or build the network in float64.
     def __init__(self, in_keys: Sequence[NestedKey], **kwargs) -> None:
         super().__init__(**kwargs)
         self.in_keys = [unravel_key(key) for key in in_keys]
+        self._preference: tuple[int, PreferenceSpace] | None = None
+
+    def check_preferences(self, key: NestedKey, preference_space: PreferenceSpace | None) -> None:
+        """From now on refuse an input that is no preference, in eager mode.
+
+        Looking at the values waits for an accelerator, and nothing that is traced can do it: neither
+        :func:`torch.compile` nor :func:`torch.export` nor :func:`torch.vmap` does.
+
+        Args:
+            key (NestedKey): one of the inputs.
+            preference_space (PreferenceSpace, optional): what it must be a point of; ``None`` for no
+                check, as in a network that nobody has called this of.
+
+        Raises:
+            ValueError: if there is no such input; at a call, for a preference off the simplex.
+
+        """
+        key = unravel_key(key)
+        if key not in self.in_keys:
+            raise ValueError(f"{key!r} is no input: this network reads {self.in_keys}.")
+        if preference_space is None:
+            self._preference = None
+        else:
+            self._preference = self.in_keys.index(key), preference_space
 
     def forward(self, *inputs: Tensor) -> Tensor:
         """Concatenate the inputs ``[*B, F_i]`` and run the network."""
         self._check(inputs)
+        if self._preference is not None and not torch.compiler.is_compiling():
+            index, preference_space = self._preference
+            # Whoever gives them concatenated has no preference to be looked at.
+            if len(inputs) == len(self.in_keys) and _has_values(inputs[index]):
+                preference_space.validate(inputs[index])
         return super().forward(*inputs)
 
     def _check(self, inputs: Sequence[Tensor]) -> None:
@@ -130,6 +161,15 @@ def resolve_in_features(
 
 def _last_size(spec: TensorSpec, batch_dims: int) -> int | None:
     return spec.shape[-1] if spec.ndim > batch_dims else None
+
+
+def _has_values(value: Tensor) -> bool:
+    """Not so where something traces: of a fake tensor, or under a functional transform."""
+    if type(value) is not Tensor or torch.jit.is_tracing():
+        return False
+    if torch._C._functorch.is_functorch_wrapped_tensor(value):
+        return False
+    return not (value.is_cuda and torch.cuda.is_current_stream_capturing())
 
 
 def _name(dtype: torch.dtype) -> str:

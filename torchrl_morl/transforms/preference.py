@@ -10,8 +10,10 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Bounded, Composite
+from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 
+from torchrl_morl.arguments import check_count, check_preference_space
 from torchrl_morl.generators import generator_from, generator_state
 from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution, check_distribution
 from torchrl_morl.representation import describe
@@ -33,6 +35,7 @@ class _RandomPreferences(Transform):
     ) -> None:
         super().__init__(**keys)
         check_distribution(distribution)
+        check_preference_space(preference_space)
         self.preference_space = preference_space
         self.distribution = distribution
         self.generator = None if seed is None else torch.Generator().manual_seed(seed)
@@ -74,7 +77,9 @@ class PreferenceSampler(_RandomPreferences):
       collectors) hide the old preference, so they draw.
     - During the episode the preference of the next step is that of the current one. Writing
       ``tensordict["preference"]`` between two steps changes it from that step on, until the episode
-      ends; such values are not validated.
+      ends. ``env.step`` refuses one off the simplex before anything moves. It looks at the values only
+      where the preference is another tensor than the last one handed out or stepped with, or was
+      written to; not under :func:`torch.compile`.
 
     The key is in the observation and in the state specs, with entries in [0, 1]. As a module or in
     a replay buffer the transform adds a preference where there is none, at the root and in
@@ -101,8 +106,8 @@ class PreferenceSampler(_RandomPreferences):
             reach transforms in TorchRL 0.14.
 
     Raises:
-        ValueError: if the distribution is unknown or there is less than one segment; at reset, if a given
-            preference is invalid or if the fixed preferences do not fit the batch.
+        ValueError: if the distribution is unknown or there is less than one segment; at a reset or a step,
+            if a given preference is invalid; at reset, if the fixed preferences do not fit the batch.
 
     Example:
         >>> from torchrl.envs import TransformedEnv
@@ -134,10 +139,14 @@ class PreferenceSampler(_RandomPreferences):
         )
         self.segments = None
         if num_segments is not None:
+            check_count("num_segments", num_segments)
             self.segments = PreferenceSegments(preference_space, num_segments)
         self.preference_key = unravel_key(preference_key)
         self.reset_key = None if reset_key is None else unravel_key(reset_key)
         self.register_buffer("preferences", None)
+        # Tensors that were valid, with their versions then: handed out last, and last stepped with.
+        self._handed_out: tuple[Tensor, int] | None = None
+        self._stepped: tuple[Tensor, int] | None = None
 
     @classmethod
     def fixed(
@@ -211,11 +220,37 @@ class PreferenceSampler(_RandomPreferences):
                 settings["num_segments"] = self.segments.num_segments
         return describe(self, **settings, preference_key=self.preference_key)
 
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        # TorchRL calls this before it steps the environment.
+        preference = tensordict.get(self.preference_key, None)
+        if preference is None or torch.compiler.is_compiling() or _is(preference, self._stepped):
+            return tensordict
+        if not _is(preference, self._handed_out):
+            if not self._is_in_environment():
+                return tensordict
+            self.preference_space.validate(preference)
+        self._stepped = _now(preference)
+        return tensordict
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         # A clone, so that writing to the next preference in place cannot alter what is stored of
         # this step.
-        next_tensordict.set(self.preference_key, tensordict[self.preference_key].clone())
+        self._hand_out(tensordict[self.preference_key].clone(), next_tensordict)
         return next_tensordict
+
+    def _hand_out(self, preference: Tensor, tensordict: TensorDictBase) -> None:
+        """Set a valid preference, and remember that it is."""
+        tensordict.set(self.preference_key, preference)
+        if not torch.compiler.is_compiling():
+            self._handed_out = _now(preference)
+
+    def _is_in_environment(self) -> bool:
+        """Not so in a replay buffer, whose writes pass through here as well."""
+        holder: object = self
+        while isinstance(holder, Transform):
+            reference = holder.__dict__["_container"]
+            holder = None if reference is None else reference()
+        return isinstance(holder, EnvBase)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -232,7 +267,7 @@ class PreferenceSampler(_RandomPreferences):
                     f"{list(preference.shape)}."
                 )
             preference = self.preference_space.validate(preference).to(torch.get_default_dtype())
-        tensordict_reset.set(self.preference_key, preference)
+        self._hand_out(preference, tensordict_reset)
         return tensordict_reset
 
     def _reset_on_native_autoreset(
@@ -248,7 +283,7 @@ class PreferenceSampler(_RandomPreferences):
         current = tensordict[self.preference_key]
         mask = tensordict[reset_key].reshape(*tensordict.batch_size, -1).any(-1, keepdim=True)
         preference = torch.where(mask, self._draw(tensordict_reset), current)
-        tensordict_reset.set(self.preference_key, preference)
+        self._hand_out(preference, tensordict_reset)
         return tensordict_reset
 
     def _draw(self, tensordict: TensorDictBase) -> Tensor:
@@ -298,3 +333,13 @@ class PreferenceSampler(_RandomPreferences):
                 f"{self.segments.num_segments} segments: place the PreferenceSampler outside of "
                 "the batched environment."
             )
+
+
+def _now(tensor: Tensor) -> tuple[Tensor, int] | None:
+    """The tensor and how often it was written to, which those of inference mode do not count."""
+    return None if tensor.is_inference() else (tensor, tensor._version)
+
+
+def _is(tensor: Tensor, then: tuple[Tensor, int] | None) -> bool:
+    """Whether it is that tensor, and nobody has written to it."""
+    return then is not None and tensor is then[0] and tensor._version == then[1]

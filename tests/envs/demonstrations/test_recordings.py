@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -68,8 +70,9 @@ def test_columns_come_in_any_order_and_a_byte_order_mark_is_skipped(write):
         (HEADER, HEADER.replace(",", " "), "separated by commas, semicolons or tabs"),
         (HEADER, "", "line 2: the header must name"),
         (TEXT, HEADER, "holds no trajectory"),
-        (TEXT, "", "line 1: the header must name"),
-        (TEXT, "\n\n# nothing\n", "line 1: the header must name"),
+        (TEXT, "", "is empty: it needs a header, trajectory,time,x,y,"),
+        (TEXT, "\n \n", "is empty: it needs a header"),
+        (TEXT, "\n\n# nothing\n", "holds nothing but comments: it needs a header"),
         (
             "b,0.0",
             "time,x,y,trajectory,human_x,human_y,goal_x,goal_y\nb,0.0",
@@ -268,7 +271,7 @@ def test_a_flipped_bit_in_an_npz_file(tmp_path):
         read_recordings(tmp_path / "drives.npz")
 
 
-@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])
+@pytest.mark.parametrize("content", [b"no archive", b"PK\x03\x04 broken"])
 def test_a_broken_npz_file(tmp_path, content):
     path = tmp_path / "drives.npz"
     path.write_bytes(content)
@@ -302,3 +305,28 @@ def test_a_drive_is_read_without_those_after_it(write):
     file.__dict__["_table"].numbers = lambda line: pytest.fail(f"line {line.number} is read early")
     with pytest.raises(pytest.fail.Exception, match="line 6 is read early"):
         next(drives)
+
+
+@pytest.mark.parametrize("name", ["drives.csv", "drives.npz"])
+def test_an_empty_file_is_called_so(name, tmp_path):
+    (tmp_path / name).touch()
+    with pytest.raises(ValueError, match=rf"{name} is empty: it (needs a header|must hold)"):
+        read_recordings(tmp_path / name)
+
+
+def test_an_npz_file_that_promises_more_than_there_is(tmp_path):
+    """NumPy allocates what the header of an array says."""
+    np.savez(tmp_path / "drives.npz", **arrays())
+    member = "x.npy"
+    with zipfile.ZipFile(tmp_path / "drives.npz") as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    header = {"descr": "<f8", "fortran_order": False, "shape": (2**40, 2**10)}
+    with zipfile.ZipFile(tmp_path / "drives.npz", "w") as archive:
+        for one, content in contents.items():
+            if one == member:
+                file = io.BytesIO()
+                np.lib.format.write_array_header_1_0(file, header)
+                content = file.getvalue()
+            archive.writestr(one, content)
+    with pytest.raises(ValueError, match=r"drives\.npz is not an \.npz file of plain arrays"):
+        read_recordings(tmp_path / "drives.npz")

@@ -83,3 +83,26 @@ def test_a_film_that_cannot_be_made(arguments, message, monkeypatch, capsys, tmp
         film.main()
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("module", ["recipes.film", "recipes.demo"])
+def test_without_graphics_a_command_says_so_and_nothing_else(module, monkeypatch, tmp_path):
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    result = run(module, "--output", tmp_path / "film.gif")
+    assert result.returncode == 2
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert "error: No OpenGL backend works (MUJOCO_GL='off')" in line
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_name_of_graphics_that_mujoco_does_not_know_is_one_line(monkeypatch, tmp_path):
+    """MuJoCo raises it when it is imported: in every command, also in those that draw nothing."""
+    monkeypatch.setenv("MUJOCO_GL", "foo")
+    for module in ("recipes.evaluate", "recipes.train", "recipes.pd_morl.pd_morl"):
+        result = run(module, *(["--output", tmp_path / "x"] if module == "recipes.train" else []))
+        assert result.returncode != 0
+        (line,) = result.stderr.splitlines()
+        assert line.startswith("error: MUJOCO_GL='foo': MuJoCo cannot be imported with it")
+        assert "egl, osmesa or glfw" in line
+    assert not list(tmp_path.iterdir())

@@ -247,7 +247,7 @@ def test_what_a_recipe_refuses_before_it_writes_leaves_no_folder(toy, tmp_path, 
     toy.act = act
     assert run(toy) == 2
     assert only_line(capsys) == "error: the policy has other objectives"
-    assert list((tmp_path / "runs" / "toy").iterdir()) == []
+    assert not (tmp_path / "runs").exists()
     (tmp_path / "mine").mkdir()
     assert run(toy, "hydra.run.dir=mine") == 2
     # A folder that was there stays, and can be used.
@@ -335,6 +335,62 @@ def test_a_multirun_checks_all_its_jobs_before_the_first(toy, tmp_path, capsys):
     assert len(list((tmp_path / "runs" / "toy").iterdir())) == 1
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        ("--multirun", "resume=begun"),
+        ("-m", "resume=begun,begun"),
+        ("-m", "steps=1,2", "resume=nowhere"),
+        ("hydra.mode=MULTIRUN", "resume=begun"),
+    ],
+)
+def test_a_multirun_goes_on_with_nothing(toy, given, tmp_path, capsys):
+    begun(tmp_path / "begun")
+    before = written(tmp_path)
+    assert run(toy, *given) == 2
+    (resume,) = (one for one in given if one.startswith("resume"))
+    line = only_line(capsys)
+    assert "resume=" in line and line.endswith(
+        "goes on with one run, where it is: leave out --multirun."
+    )
+    assert resume.split(",")[0][:12] in line
+    assert written(tmp_path) == before
+
+
+@pytest.mark.parametrize("value", ["5", "[begun]", "{begun: 1}", "true", "begun,begun", "glob(*)"])
+def test_what_is_no_folder_of_a_run_is_refused(toy, value, tmp_path, capsys):
+    begun(tmp_path / "begun")
+    assert run(toy, f"resume={value}") == 2
+    assert "resume" in only_line(capsys)
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("given", [[], ["hydra.run.dir=new/deep/er"]])
+def test_a_start_that_its_recipe_refuses_leaves_no_folders(toy, given, tmp_path, capsys):
+    def refuse(cfg):
+        raise ValueError("not so")
+
+    toy.act = refuse
+    before = sorted(tmp_path.rglob("*"))
+    assert run(toy, *given) == 2
+    assert capsys.readouterr().err == "error: not so\n"
+    assert [
+        path
+        for path in sorted(tmp_path.rglob("*"))
+        if path not in before and "preset" not in str(path) and "__pycache__" not in str(path)
+    ] == []
+    (tmp_path / "runs" / "toy").mkdir(parents=True)  # those of the user stay
+    (tmp_path / "new").mkdir()
+    assert run(toy, *given) == 2
+    assert sorted(path.name for path in tmp_path.iterdir() if "Käfer" not in path.name) == [
+        "new",
+        "runs",
+    ]
+    assert list((tmp_path / "new").iterdir()) == [] and [
+        path.name for path in (tmp_path / "runs").iterdir()
+    ] == ["toy"]
+
+
 # --- how it is stopped
 
 
@@ -368,7 +424,7 @@ def test_ctrl_c_before_the_first_step_ends_at_once_and_leaves_no_folder(toy, tmp
     toy.act = act
     assert run(toy) == 130
     assert only_line(capsys) == "stopped before anything was done"
-    assert list((tmp_path / "runs" / "toy").iterdir()) == []
+    assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.parametrize(("again", "steps"), [(signal.SIGINT, 0), (signal.SIGTERM, 1)])

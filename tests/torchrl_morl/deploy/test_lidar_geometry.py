@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 
@@ -179,11 +180,30 @@ def test_input_is_not_changed_and_may_be_anything():
         ({"range_max": INF}, "range_max must be finite"),
         ({"mount": (0.0, 0.0)}, "mount must be x, y and yaw"),
         ({"mount": (0.0, NAN, 0.0)}, "mount must be x, y and yaw, all finite"),
+        ({"mount": (0.0, "0", 0.0)}, "mount must be x, y and yaw, all finite"),
+        ({"mount": "abc"}, "mount must be x, y and yaw"),
+        ({"mount": None}, "mount must be x, y and yaw, got None"),
+        ({"increment": "0.1"}, "increment must be finite, got '0.1'"),
+        ({"first_angle": None}, "first_angle must be finite, got None"),
+        ({"range_max": 10**400}, "range_max must be finite"),
+        ({"num_beams": "180"}, "num_beams must be an integer, got '180'"),
     ],
 )
 def test_a_geometry_that_makes_no_sense(changes, message):
     with pytest.raises(ValueError, match=re.escape(message)):
         full(180, **changes)
+
+
+def test_numbers_of_numpy_are_numbers():
+    plain = full(180)
+    same = dataclasses.replace(
+        plain,
+        num_beams=np.int64(180),
+        mount=np.zeros(3),
+        range_min=np.float32(plain.range_min),
+    )
+    assert isinstance(same.num_beams, int) and same.mount == (0.0, 0.0, 0.0)
+    hash(same)
 
 
 def test_a_scan_of_another_size():

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 import math
+import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
+from torch._subclasses import FakeTensorMode
 
 from envs.gym import NavigationGymEnv
 from envs.policy_env import contract, make_policy_env
 from torchrl_morl.deploy import Sensing, load_policy
-from torchrl_morl.deploy.features import observation
+from torchrl_morl.deploy.features import RowFeatures, observation
+from torchrl_morl.testing import untrained_policy
 from torchrl_morl.transforms import PreferenceSampler
 
 POLICIES = Path(__file__).parents[3] / "recipes" / "policies"
@@ -70,6 +75,55 @@ def test_features_are_those_of_the_environment(name):
     seen = {name: data[name] for name in ("lidar", "goal", "human")} | velocity
     assert torch.equal(observation(sensing, **seen), data["observation"])
     env.close()
+
+
+@pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3)])
+@pytest.mark.parametrize(
+    "changes", [{}, {"observe_human_velocity": True}, {"observe_human": False}]
+)
+def test_a_row_of_inputs_has_the_same_features(changes, batch):
+    """One observation costs too many operations otherwise; the numbers are the same, to rounding."""
+    sensing = Sensing(goal_scale=4.7, human_scale=1.9, max_range=3.3, unknown_range=3.3, **changes)
+    lidar = 3.3 * torch.rand(*batch, 30)
+    lidar[..., 0] = 0.0
+    given = {"lidar": lidar, "goal": 6 * torch.randn(*batch, 2)}
+    if sensing.observe_human:
+        given["human"] = 6 * torch.randn(*batch, 2)
+    if sensing.observe_human_velocity:
+        given["human_velocity"] = torch.randn(*batch, 2)
+    preference, total = torch.rand(*batch, 3), torch.ones(*batch, 1)
+    row = torch.cat((*given.values(), preference, total), -1)
+    before = row.clone()
+    found = RowFeatures(sensing, 3, like=row)(row)
+    expected = observation(sensing, **given)
+    torch.testing.assert_close(found[..., :-3], expected, rtol=3e-7, atol=3e-7)
+    assert torch.equal(found[..., -3:], preference)
+    assert torch.equal(row, before)
+
+
+def test_the_present_weights_count():
+    """`act` goes past the modules of its network: whatever is done to them is seen."""
+    policy, other = untrained_policy(), untrained_policy()
+    given = inputs()
+    before = policy.act(**given)
+    policy.actor.load_state_dict(other.actor.state_dict(), assign=True)
+    assert not np.array_equal(policy.act(**given), before)
+    np.testing.assert_array_equal(policy.act(**given), other.act(**given))
+    again = copy.deepcopy(policy)
+    for parameter in again.actor.parameters():
+        parameter.zero_()
+    np.testing.assert_allclose(again.act(**given), [0.25, 0.0], atol=1e-7)
+    np.testing.assert_array_equal(policy.act(**given), other.act(**given))
+    pickled = pickle.loads(pickle.dumps(policy))
+    np.testing.assert_array_equal(pickled.act(**given), other.act(**given))
+
+
+def test_autocast_reaches_the_layers_in_the_middle_alone(policy):
+    given = inputs(4)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = policy.act(**given)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, policy.act(**given), atol=0.1)
 
 
 @pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3)])
@@ -140,6 +194,13 @@ def test_inputs_are_not_changed(policy):
         ({"preference": [[0, 1], [1]]}, "preference is no array of numbers"),
         ({"lidar": np.full(30, 4 + 1j)}, "lidar is no array of numbers"),
         ({"goal": [math.nan, 0]}, "'goal'[0] = nan must be finite"),
+        ({"goal": np.ma.masked_array([1.0, 0.0], [True, False])}, "'goal'[0] = nan must be finite"),
+        ({"lidar": torch.ones(30).to_sparse()}, "lidar is no array of numbers: it is torch.sparse"),
+        ({"goal": torch.ones(2, device="meta")}, "goal is no array of numbers: it is on the meta"),
+        (
+            {"goal": torch.quantize_per_tensor(torch.ones(2), 0.1, 0, torch.quint8)},
+            "goal is no array of numbers: it is torch.quint8",
+        ),
         ({"goal": [-1, 0]}, "goal has the length -1 m"),
         ({"goal": [1, 0, 0]}, "goal must have shape [..., 2], got [3]"),
         ({"human": [1, -math.inf]}, "'human'[1] = -inf must be finite"),
@@ -151,6 +212,53 @@ def test_what_is_refused(policy, changes, message):
     with pytest.raises(ValueError) as error:
         policy.act(**inputs() | changes)
     assert message in str(error.value) and len(str(error.value).splitlines()) == 1
+
+
+OFF_THE_SIMPLEX = [
+    ([1e6, 0.0, 0.0], "sums to 1e+06; it must sum to 1 within 0.0001"),
+    ([-1.0, 1.0, 1.0], "= -1 for objective 'demo' must be finite and >= 0"),
+    ([1.0, 1.0, 0.0], "sums to 2"),
+    ([math.nan, 1.0, 0.0], "= nan for objective 'demo' must be finite"),
+]
+
+
+@pytest.mark.parametrize("batch", [(), (4,)])
+@pytest.mark.parametrize(("preference", "message"), OFF_THE_SIMPLEX)
+def test_the_actor_refuses_preferences_off_the_simplex(policy, preference, message, batch):
+    preference = torch.tensor(preference).expand(*batch, 3)
+    features = torch.randn(*batch, 36)
+    for call in (
+        lambda: policy.actor(features, preference),
+        lambda: policy.actor(TensorDict(observation=features, preference=preference)),
+        lambda: untrained_policy().actor(features, preference),
+    ):
+        with pytest.raises(ValueError) as error:
+            call()
+        assert message in str(error.value)
+    swapped = TensorDict(observation=preference, preference=features)
+    with pytest.raises(ValueError, match=r"preference must have shape \[..., 3\]"):
+        policy.actor(swapped)
+
+
+def test_what_traces_an_actor_looks_at_no_values(policy):
+    features, preference = torch.randn(4, 36), torch.eye(3)[[0, 1, 2, 0]]
+    expected = policy.actor(features, preference)[1]
+    several = torch.vmap(policy.actor, randomness="error")(features, preference)[1]
+    torch.testing.assert_close(several, expected)
+    torch.testing.assert_close(
+        torch.compile(policy.actor, backend="eager", fullgraph=True)(features, preference)[1],
+        expected,
+    )
+    graph = torch.export.export(policy.actor, (features, preference), strict=False).module()
+    torch.testing.assert_close(graph(features, preference)[1], expected)
+    with FakeTensorMode(allow_non_fake_inputs=True) as mode:
+        fake = mode.from_tensor(features), mode.from_tensor(preference)
+        assert policy.actor(*fake)[1].shape == (4, 2)
+
+
+def test_a_training_takes_an_actor_that_looks_at_no_values():
+    actor = load_policy(POLICIES / "navigation", check_preferences=False).actor
+    assert actor(torch.randn(4, 36), torch.zeros(4, 3))[1].isfinite().all()
 
 
 @pytest.mark.parametrize("batch", [(), (4,)])

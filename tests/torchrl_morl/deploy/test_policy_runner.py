@@ -155,10 +155,74 @@ def test_limits_keep_the_arc(policy, limits):
 
 
 @pytest.mark.parametrize("name", ["goal_radius", "timeout", "max_speed", "max_turn_rate"])
-@pytest.mark.parametrize("value", [0.0, -1.0, NAN, INF])
+@pytest.mark.parametrize("value", [0.0, -1.0, NAN, INF, "1", True, 10**400])
 def test_limits_that_make_no_sense(policy, name, value):
-    with pytest.raises(ValueError, match=f"{name} must be finite and positive, got {value}"):
+    with pytest.raises(ValueError, match=f"{name} must be finite and positive, got {value!r}"):
         PolicyRunner(policy, lidar=LIDAR, **{name: value})
+
+
+def test_what_is_no_policy_and_no_lidar(policy):
+    with pytest.raises(ValueError, match="policy must be a Policy, from load_policy, got None"):
+        PolicyRunner(None, lidar=LIDAR)
+    with pytest.raises(ValueError, match="lidar must be a LidarGeometry, got None"):
+        PolicyRunner(policy, lidar=None)
+
+
+class Hostile:
+    """An object that raises whatever it likes."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+
+    def __iter__(self):
+        raise self.error
+
+    def __array__(self, *args, **kwargs):
+        raise self.error
+
+    def __repr__(self) -> str:
+        raise self.error
+
+
+NO_INPUTS = [
+    ({"goal": (10**400, 0.0)}, "refused", "goal must be a distance and a bearing"),
+    ({"goal": {3.0, 0.1}}, "refused", "goal must be a distance and a bearing, got {"),
+    ({"goal": {3.0: 1, 0.1: 2}}, "refused", "goal must be a distance and a bearing, got {3.0: 1"),
+    ({"human": (2.0,)}, "refused", "human must be a distance and a bearing, got (2.0,)"),
+    ({"odometry": (1.0, 2.0)}, "refused", "odometry must be x, y and heading, got (1.0, 2.0)"),
+    ({"preference": [10**400, 0, 0]}, "refused", "preference is no array of numbers"),
+    ({"ranges": torch.ones(360, requires_grad=True)}, "refused", "ranges must be numbers"),
+    ({"ranges": torch.ones(360).to_sparse()}, "refused", "ranges must be numbers"),
+    ({"ranges": np.ones(360, complex)}, "refused", "ranges must be numbers, one a beam: they are"),
+    ({"ranges": np.ones(360, bool)}, "refused", "they are bool"),
+    ({"ranges": np.ma.masked_all(360)}, "no scan", "the scan has no valid beam"),
+    ({"stamp": 10**400}, "clock", "time and stamp must be finite numbers"),
+    ({"stamp": True}, "clock", "time and stamp must be finite numbers, got 10.0 and True"),
+    ({"stamp": Hostile(KeyError("x"))}, "clock", "got 10.0 and a Hostile"),
+    ({"ranges": Hostile(RuntimeError("a driver"))}, "refused", "a driver"),
+    ({"ranges": Hostile(KeyError("x"))}, "refused", "KeyError: 'x'"),
+    ({"goal": Hostile(ZeroDivisionError("x"))}, "refused", "ZeroDivisionError: x"),
+    ({"preference": Hostile(OSError("x"))}, "refused", "OSError: x"),
+]
+
+
+@pytest.mark.parametrize(("changes", "reason", "detail"), NO_INPUTS)
+def test_it_raises_for_nothing_that_it_is_given(walking, changes, reason, detail):
+    given = {"odometry": (0.0, 0.0, 0.0)} | changes
+    command = step(PolicyRunner(walking, lidar=LIDAR), 10.0, **given)
+    assert (command.reason, command.speed, command.turn_rate) == (reason, 0.0, 0.0)
+    assert detail in command.detail and len(command.detail.splitlines()) == 1
+
+
+def test_a_masked_beam_is_none(runner):
+    ranges = np.full(360, 2.0)
+    ranges[180] = 0.05 + LIDAR.range_min  # straight ahead
+    near = step(runner, 10.0, ranges=ranges)
+    masked = step(runner, 10.2, ranges=np.ma.masked_less(ranges, 1.0))
+    ranges[180] = NAN
+    left_out = step(runner, 10.4, ranges=ranges)
+    assert (masked.speed, masked.turn_rate) == (left_out.speed, left_out.turn_rate)
+    assert (masked.speed, masked.turn_rate) != (near.speed, near.turn_rate)
 
 
 def test_a_goal_beyond_the_trained_range_is_the_furthest_of_it(runner, policy):

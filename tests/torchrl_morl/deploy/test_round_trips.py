@@ -45,7 +45,7 @@ def save(folder: Path, actor, **changes) -> Path:
 def test_activation_comes_back(tmp_path, name):
     actor = make(activation_class=ACTIVATIONS[name])
     loaded = load_policy(save(tmp_path / "policy", actor)).actor
-    inputs = torch.randn(64, 5), torch.rand(64, 2)
+    inputs = torch.randn(64, 5), SPACE.sample(64)
     for one, other in zip(actor(*inputs), loaded(*inputs)):
         assert torch.equal(one, other)
     model = RewardModel(in_features=4, num_cells=(8,), activation_class=ACTIVATIONS[name])
@@ -59,7 +59,7 @@ def test_activation_comes_back(tmp_path, name):
 def test_sizes_are_those_of_the_weights(tmp_path, num_cells):
     actor = make(num_cells=num_cells)
     loaded = load_policy(save(tmp_path / "policy", actor)).actor
-    inputs = torch.randn(3, 5), torch.rand(3, 2)
+    inputs = torch.randn(3, 5), SPACE.sample(3)
     assert torch.equal(actor(*inputs)[1], loaded(*inputs)[1])
 
 
@@ -74,7 +74,7 @@ def test_keys_come_back(tmp_path):
     assert loaded.in_keys == actor.in_keys and loaded.out_keys == actor.out_keys
     data = TensorDict(
         agent=TensorDict(observation=torch.randn(3, 5), batch_size=3),
-        preference=torch.rand(3, 2),
+        preference=SPACE.sample(3),
         batch_size=3,
     )
     assert torch.equal(
@@ -177,7 +177,7 @@ def test_members_that_differ_are_refused(tmp_path):
 
 def test_a_loaded_actor_can_be_exported(tmp_path):
     loaded = load_policy(save(tmp_path / "policy", make())).actor
-    inputs = torch.randn(3, 5), torch.rand(3, 2)
+    inputs = torch.randn(3, 5), SPACE.sample(3)
     graph = torch.export.export(loaded, inputs, strict=False).module()
     assert torch.equal(graph(*inputs)[1], loaded(*inputs)[1])
 

@@ -178,6 +178,97 @@ class TestUserPreferences:
         assert reset["preference"].dtype == torch.get_default_dtype()
 
 
+OFF_THE_SIMPLEX = [
+    ((1e6, 0.0, 0.0), r"preference\[0\] = \[1000000.0, 0.0, 0.0\] .* sums to 1e\+06"),
+    ((-1.0, 1.0, 1.0), r"preference\[0, 0\] = -1 for objective 'a' must be finite and >= 0"),
+    ((1.0, 1.0, 0.0), r"preference\[0\] = .* sums to 2; it must sum to 1 within 0.0001"),
+    ((float("nan"), 1.0, 0.0), r"preference\[0, 0\] = nan for objective 'a' must be finite"),
+    ((0.0, 0.0, 0.0), r"sums to 0; it must sum to 1"),
+]
+
+
+class TestPreferencesOffTheSimplex:
+    @pytest.mark.parametrize("in_place", [True, False])
+    @pytest.mark.parametrize(("given", "message"), OFF_THE_SIMPLEX)
+    def test_refused_by_a_step_before_anything_moves(self, given, message, in_place):
+        env = sampled((2,), THREE)
+        _, carried = env.step_and_maybe_reset(env.rand_action(env.reset()))
+        count = env.base_env._count.clone()
+        if in_place:
+            carried["preference"][0] = torch.tensor(given)
+        else:
+            carried["preference"] = torch.tensor([given, (1.0, 0.0, 0.0)])
+        with pytest.raises(ValueError, match=message):
+            env.step(env.rand_action(carried))
+        assert torch.equal(env.base_env._count, count)
+        carried["preference"] = torch.eye(3)[:2]
+        env.step(env.rand_action(carried))
+        assert torch.equal(env.base_env._count, count + 1)
+
+    @pytest.mark.parametrize("batch_size", [(), (4,), (2, 3)])
+    def test_refused_in_the_first_step_and_behind_a_reset_of_some(self, batch_size):
+        env = sampled(batch_size, THREE)
+        wrong = torch.tensor([1.0, 1.0, 0.0]).expand(*batch_size, 3)
+        for steps in (0, 5):  # five: episodes have ended in some
+            carried = env.reset()
+            for _ in range(steps):
+                carried = env.step_and_maybe_reset(env.rand_action(carried))[1]
+            carried["preference"] = wrong.clone()
+            with pytest.raises(ValueError, match="sums to 2"):
+                env.step(env.rand_action(carried))
+
+    def test_refused_in_inference_mode_and_by_a_rollout(self):
+        env = sampled((2,), THREE)
+        with torch.inference_mode():
+            carried = env.step_and_maybe_reset(env.rand_action(env.reset()))[1]
+            env.step(env.rand_action(carried))
+            carried["preference"][1, 0] = 2.0
+            with pytest.raises(ValueError, match=r"preference\[1\]"):
+                env.step(env.rand_action(carried))
+        start = env.reset()
+        start["preference"] = torch.full((2, 3), 1.0)
+        with pytest.raises(ValueError, match="sums to 3"):
+            env.rollout(3, auto_reset=False, tensordict=start)
+
+    def test_refused_where_workers_hold_the_sampler(self):
+        env = SerialEnv(2, lambda: sampled((), THREE))
+        carried = env.reset()
+        carried["preference"] = torch.tensor([[1.0, 0.0, 0.0], [1.0, 0.0, 1.0]])
+        with pytest.raises(ValueError, match="sums to 2"):
+            env.step(env.rand_action(carried))
+        env.close()
+
+    def test_refused_by_a_deep_copy_as_by_the_original(self):
+        for env in (sampled((2,), THREE), copy.deepcopy(sampled((2,), THREE))):
+            carried = env.reset()
+            carried["preference"][0, 0] += 1
+            with pytest.raises(ValueError, match="sums to 2"):
+                env.step(env.rand_action(carried))
+
+    def test_what_was_handed_out_is_not_looked_at_again(self, monkeypatch):
+        """A step must not pay for what cannot have changed."""
+        looked_at = []
+        validate = PreferenceSpace.validate
+        monkeypatch.setattr(
+            PreferenceSpace,
+            "validate",
+            lambda self, *args, **kwargs: looked_at.append(1) or validate(self, *args, **kwargs),
+        )
+        env = TransformedEnv(
+            make_env(batch_size=(4,), horizon=100), Compose(PreferenceSampler(THREE))
+        )
+        env.rollout(50, break_when_any_done=False)
+        assert not looked_at
+
+    def test_replay_buffers_keep_what_they_are_given(self):
+        """Rows may be padding, and nothing is driven by them."""
+        buffer = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(4), transform=Compose(PreferenceSampler(THREE)), batch_size=2
+        )
+        buffer.extend(TensorDict(preference=torch.zeros(4, 3), batch_size=[4]))
+        assert (buffer.sample()["preference"] == 0).all()
+
+
 class TestSegmentsAndFixed:
     def test_env_draws_from_its_segment(self):
         env = sampled((7,), preference_space=THREE, num_segments=3, seed=0)
