@@ -11,7 +11,7 @@ RUN = $(VENV)/bin/python -m
 STAMP = $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo train test lint format lock clean
+.PHONY: help demo train test lint format docs linkcheck lock clean
 
 help: ## list the targets
 	@echo "usage: make TARGET [ARGS='...'] [PYTHON=python3.11]"
@@ -34,12 +34,19 @@ format: $(STAMP) ## repair style and formatting
 	@$(RUN) ruff check --fix .
 	@$(RUN) ruff format .
 
+docs: $(STAMP) ## build the pages and the API reference as a site, warnings are errors
+	@OMP_NUM_THREADS=1 $(RUN) sphinx -W --keep-going -q -b html docs docs/_build/html
+	@echo "The site: docs/_build/html/index.html"
+
+linkcheck: $(STAMP) ## look whether what the pages link to elsewhere is there, needs a network
+	@OMP_NUM_THREADS=1 $(RUN) sphinx -q -b linkcheck docs docs/_build/linkcheck
+
 lock: ## write uv.lock anew with the versions of constraints.txt; needs uv
 	@uv lock $$(sed -n 's/^[a-z].*==/-P &/p' constraints.txt)
 
 clean: ## remove .venv and caches; runs/ stays
-	rm -rf .venv .pytest_cache .ruff_cache build dist *.egg-info
-	find torchrl_morl envs recipes examples tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+	rm -rf .venv .pytest_cache .ruff_cache build dist docs/_build *.egg-info
+	find torchrl_morl envs recipes examples tests benchmarks tools -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 ifneq ($(shell test -x $(VENV)/bin/python && echo works),works)
 .PHONY: $(STAMP)

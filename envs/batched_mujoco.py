@@ -16,6 +16,9 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from torchrl_morl.arguments import check_count
+
+from .actions import refuse_non_finite, refuse_shape
 from .pixels import PixelsMixin
 from .rendering import Camera
 
@@ -95,10 +98,10 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
             ("frame_skip", frame_skip),
             ("max_episode_steps", max_episode_steps),
         ):
-            if value < 1:
-                raise ValueError(f"{name} must be at least 1, got {value}.")
-        if num_threads < 0:
-            raise ValueError(f"num_threads must be 0 (every CPU) or more, got {num_threads}.")
+            check_count(name, value)
+        check_count("num_threads", num_threads, least=0)  # 0: every CPU
+        if dtype not in (torch.float16, torch.bfloat16, torch.float32, torch.float64):
+            raise ValueError(f"dtype must be a floating point one of PyTorch, got {dtype!r}.")
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self.num_envs = num_envs
         self.num_threads = num_threads
@@ -280,6 +283,7 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
             observation["pixels"] = self._pixels_spec()
         self.observation_spec = observation.to(self.device)
         self.action_spec = self._make_action_spec().to(self.device)
+        self._action_shape = self.action_spec.shape
         self.reward_spec = self._make_reward_spec().to(self.device)
         self.full_done_spec = Composite(
             {
@@ -344,10 +348,14 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
         return out.to(self.device) if self.device is not None else out
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict.get(self.action_key).detach().to("cpu")
+        action = tensordict.get(self.action_key, None)
+        # Broadcast, one number would be every robot's speed and turn rate.
+        if action is None or action.shape != self._action_shape:
+            refuse_shape(action, self._action_shape)
+        action = action.detach().to("cpu")
         # NaN and infinity survive a sum, which is the cheaper question.
         if not math.isfinite(action.sum()):
-            self._refuse_non_finite(action)
+            refuse_non_finite(action)
         # On so few numbers, NumPy takes a fraction of PyTorch's time.
         before = PhysicsState(*(torch.from_numpy(view.numpy().copy()) for view in self._state()))
         self._view["ctrl"].copy_(self._prepare_ctrl(action))
@@ -379,16 +387,6 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
                 lambda leaf: self._among_zeros(leaf, ids), batch_size=self.batch_size
             )
         return values.new_zeros(self.num_envs, *values.shape[1:]).index_copy_(0, ids, values)
-
-    @staticmethod
-    def _refuse_non_finite(action: Tensor) -> None:
-        finite = torch.isfinite(action).flatten(1).all(-1)
-        if not finite.all():
-            row = int((~finite).nonzero()[0])
-            raise ValueError(
-                f"The action of environment {row} is {action[row].tolist()}: actions must be "
-                "finite. Check the policy's input and weights for NaN."
-            )
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:

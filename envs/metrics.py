@@ -18,8 +18,8 @@ def trajectories(rollout: TensorDictBase) -> TensorDict:
             :func:`~torchrl_morl.evaluation.rollout_preferences`.
 
     Returns:
-        Batch size ``[*B]``: ``position`` [*B, S+1, 2], ``heading`` [*B, S+1], ``human``
-        [*B, S+1, 2] and ``mask`` [*B, S+1].
+        Batch size ``[*B]``: ``position`` ``[*B, S+1, 2]``, ``heading`` ``[*B, S+1]``, ``human``
+        ``[*B, S+1, 2]`` and ``mask`` ``[*B, S+1]``.
     """
 
     def with_start(key: str) -> torch.Tensor:

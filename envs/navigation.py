@@ -17,9 +17,12 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 
+from torchrl_morl.arguments import check_count
+
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
 from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl, yaw_quaternion
 from .faults import Faults, get_faults
+from .fields import is_number, shown
 from .geometry import arctan2, cos_sin
 from .lidar import MIN_RANGE, Lidar
 from .mjcf import Drive, navigation_mjcf, time_step
@@ -37,28 +40,28 @@ from .views import chase_view, top_view
 class NavigationEnv(BatchedMujocoEnv):
     """A robot drives to its goal past a human and boxes; rewards are vectors.
 
-    =====================  ============  =======================================================
-    key                    shape         meaning
-    =====================  ============  =======================================================
-    ``scan``               ``[N, 720]``  lidar ranges in metres, counter-clockwise from the
-                                         heading, in (0, 4]; no return is 4.0
-    ``goal``               ``[N, 2]``    distance (m) and bearing (rad) of the goal from the robot
-    ``human``              ``[N, 2]``    the same for the human's centre
-    ``action``             ``[N, 2]``    forward speed (m/s) and turn rate (rad/s)
-    ``reward``             ``[N, K]``    one entry per objective: core, distance, efficiency,
-                                         unless ``objectives`` says otherwise
-    ``success``            ``[N, 1]``    the goal was reached, without a collision
-    ``collision_human``    ``[N, 1]``    the episode ended by touching the human
-    ``collision_obstacle`` ``[N, 1]``    the episode ended by touching a box
-    ``pose``               ``[N, 3]``    ground truth x, y (m), heading (rad): evaluation only
-    ``human_pose``         ``[N, 3]``    the same for the human: evaluation only
-    ``scene``              nested        ground truth ``goal``, ``human_goal``, ``boxes``:
-                                         snapshots and figures only (not with
-                                         ``snapshots=False``)
-    ``faults``             ``[N, 4]``    amounts of the faults of the episode, as in
-                                         :class:`Faults`; only if episodes draw them, not with
-                                         ``snapshots=False``
-    =====================  ============  =======================================================
+    ======================  ============  =======================================================
+    key                     shape         meaning
+    ======================  ============  =======================================================
+    ``scan``                ``[N, 720]``  lidar ranges in metres, counter-clockwise from the
+                                          heading, in (0, 4]; no return is 4.0
+    ``goal``                ``[N, 2]``    distance (m) and bearing (rad) of the goal from the robot
+    ``human``               ``[N, 2]``    the same for the human's centre
+    ``action``              ``[N, 2]``    forward speed (m/s) and turn rate (rad/s)
+    ``reward``              ``[N, K]``    one entry per objective: core, distance, efficiency,
+                                          unless ``objectives`` says otherwise
+    ``success``             ``[N, 1]``    the goal was reached, without a collision
+    ``collision_human``     ``[N, 1]``    the episode ended by touching the human
+    ``collision_obstacle``  ``[N, 1]``    the episode ended by touching a box
+    ``pose``                ``[N, 3]``    ground truth x, y (m), heading (rad): evaluation only
+    ``human_pose``          ``[N, 3]``    the same for the human: evaluation only
+    ``scene``               nested        ground truth ``goal``, ``human_goal``, ``boxes``:
+                                          snapshots and figures only (not with
+                                          ``snapshots=False``)
+    ``faults``              ``[N, 4]``    amounts of the faults of the episode, as in
+                                          :class:`Faults`; only if episodes draw them, not with
+                                          ``snapshots=False``
+    ======================  ============  =======================================================
 
     Objectives (equations 2 to 4 of the paper, with the sign of the goal term corrected; ``rewards``
     holds the numbers):
@@ -124,13 +127,10 @@ class NavigationEnv(BatchedMujocoEnv):
         camera: str | Camera = "top",
         **kwargs: Any,
     ) -> None:
-        for name, value in (
-            ("goal_radius", goal_radius),
-            ("num_rays", num_rays),
-            ("max_range", max_range),
-        ):
-            if not value > 0:
-                raise ValueError(f"{name} must be positive, got {value}.")
+        for name, value in (("goal_radius", goal_radius), ("max_range", max_range)):
+            if not (is_number(value) and value > 0):
+                raise ValueError(f"{name} must be positive, got {shown(value)}.")
+        check_count("num_rays", num_rays)
         self.scene = get_scene(scene)
         self.robot = get_robot(robot)
         self.drive = drive

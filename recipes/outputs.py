@@ -15,7 +15,7 @@ def check_new_file(path: Path) -> None:
     """
     if path.exists() or path.is_symlink():
         raise ValueError(f"--output {path} exists and is not overwritten: choose another name.")
-    _check_writable(path.parent, path)
+    check_writable(path.parent, path)
 
 
 def claim_folder(path: Path | None, default: Path) -> Path:
@@ -34,14 +34,14 @@ def claim_folder(path: Path | None, default: Path) -> Path:
             raise ValueError(f"--output {path} is a link to nothing: choose another folder.")
         if path.exists() and not path.is_dir():
             raise ValueError(f"--output {path} is a file: choose a folder.")
-        _check_writable(path, path)
+        check_writable(path, path)
         if path.is_dir() and any(path.iterdir()):
             raise ValueError(
                 f"--output {path} is not empty, and nothing is overwritten: choose another folder."
             )
         path.mkdir(parents=True, exist_ok=True)
         return path
-    _check_writable(default.parent, default)
+    check_writable(default.parent, default)
     default.parent.mkdir(parents=True, exist_ok=True)
     for number in itertools.count(1):
         folder = default if number == 1 else default.with_name(f"{default.name}-{number}")
@@ -53,8 +53,12 @@ def claim_folder(path: Path | None, default: Path) -> Path:
     raise AssertionError
 
 
-def _check_writable(folder: Path, output: Path) -> None:
-    """Whether files can be made in a folder, which may have to be made itself."""
+def check_writable(folder: Path, output: Path) -> None:
+    """Whether files can be made in a folder, which may have to be made itself.
+
+    Raises:
+        ValueError: if not; it calls ``output`` what the user has asked for.
+    """
     there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     if not there.is_dir():
         raise ValueError(f"--output {output}: {there} is not a folder: choose another place.")

@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT, GROUPS = PYPROJECT["project"], PYPROJECT["dependency-groups"]
 EXTRAS = PROJECT["optional-dependencies"]
-ROOMS = ("torchrl_morl", "envs", "recipes", "examples", "tests", "benchmarks")
-TARGETS = ("demo", "train", "test", "lint", "format", "lock", "clean", "help")
+ROOMS = ("torchrl_morl", "envs", "recipes", "examples", "tests", "benchmarks", "tools")
+TARGETS = ("demo", "train", "test", "lint", "format", "docs", "linkcheck", "lock", "clean", "help")
 
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 
@@ -90,7 +90,7 @@ def test_direct_dependency_runs_on_the_oldest_python(requirement: Requirement) -
 
 def test_extras_are_those_of_the_wheel_and_the_rest_are_groups() -> None:
     assert EXTRAS.keys() == {"viz", "indicators"}
-    assert GROUPS.keys() == {"sim", "recipes", "references", "test", "dev"}
+    assert GROUPS.keys() == {"sim", "recipes", "references", "test", "docs", "dev"}
 
 
 def test_uv_installs_the_versions_of_constraints_txt() -> None:

@@ -8,6 +8,7 @@ are the vector over all ``K`` objectives, with the static weights filled in.
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
@@ -75,8 +76,8 @@ class PreferenceSpace:
                 raise ValueError(
                     f"static objective {name!r} is not an objective; allowed: {objectives}."
                 )
-            if not math.isfinite(weight):
-                raise ValueError(f"the static weight of {name!r} must be finite, got {weight}.")
+            if not (isinstance(weight, numbers.Real) and math.isfinite(weight)):
+                raise ValueError(f"the static weight of {name!r} must be finite, got {weight!r}.")
         if len(static) == len(objectives):
             raise ValueError(
                 f"all objectives {objectives} are static; at least one must be tunable."
@@ -135,7 +136,15 @@ class PreferenceSpace:
             ValueError: preference[1] = -0.25 for objective 'efficiency' must be finite and >= 0.
 
         """
-        preference = torch.as_tensor(preference)
+        try:
+            preference = torch.as_tensor(preference)
+        except (TypeError, ValueError, RuntimeError) as error:
+            reason = str(error).splitlines()[0]
+            raise ValueError(f"preference is no array of numbers: {reason}") from error
+        if preference.is_complex():
+            raise ValueError(f"preference is no array of real numbers: it is {preference.dtype}.")
+        if not tol >= 0:
+            raise ValueError(f"tol must be a number, at least 0, got {tol}.")
         if not preference.is_floating_point():
             preference = preference.to(torch.get_default_dtype())
         self.check_shape(preference)
@@ -264,8 +273,7 @@ class PreferenceSpace:
                     [1.0000, 0.0000]])
 
         """
-        if divisions < 1:
-            raise ValueError(f"divisions must be at least 1, got {divisions}.")
+        _check_count("divisions", divisions, 1)
         bars = self.num_tunable - 1
         last = divisions + bars
         rows = []
@@ -299,8 +307,7 @@ class PreferenceSpace:
                     [1.0000, 0.0000]])
 
         """
-        if steps < 2:
-            raise ValueError(f"steps must be at least 2, got {steps}.")
+        _check_count("steps", steps, 2)
         size = self.num_tunable
         if size == 1:
             return torch.ones(1, 1)
@@ -332,6 +339,13 @@ def _on_simplex(preference: Tensor, tol: float) -> bool:
     low, high = preference.sum(-1).aminmax()
     # NaN compares as false.
     return bool(preference.amin() >= 0 and low >= 1 - tol and high <= 1 + tol)
+
+
+def _check_count(name: str, value: int, least: int) -> None:
+    if not isinstance(value, numbers.Integral):
+        raise ValueError(f"{name} must be a whole number, at least {least}, got {value!r}.")
+    if value < least:
+        raise ValueError(f"{name} must be at least {least}, got {value}.")
 
 
 def check_distribution(distribution: str) -> None:

@@ -15,7 +15,7 @@ class Reason:
     Args:
         text: what is wrong, where: "drives at 0.80 m/s at 3.20 s, over 0.50 + 0.05 m/s in 4 step(s)".
         kind: what it has in common with other trajectories: "faster than turtlebot2's 0.5 m/s".
-        hint: what to do; options as :mod:`recipes.import_demonstrations` names them.
+        hint: what to do; options as ``recipes.import_demonstrations`` names them.
         value: how far off it is, in the unit; the largest counts for all of a kind.
         unit: of the value.
     """

@@ -52,12 +52,12 @@ def main() -> None:
                 "needs a policy of two objectives or more."
             )
         setting = trained_in(policy.card)
+        shown = demonstrator(policy.card, setting.robot)
         gl_context_type()  # without it there is no film: better said now than at the end
         output = claim_folder(args.output, Path("runs/demo"))
     except (OSError, RuntimeError, ValueError) as error:
         parser.error(str(error))
     print(f"output {output}\n{setting}")
-    shown = demonstrator(policy.card, setting.robot)
     showroom = {**setting.arguments, "scene": "showcase"}
 
     # The rows of the paper: each trades two objectives off, the others have no weight.

@@ -30,6 +30,7 @@ from torchrl_morl.evaluation import bootstrap_interval, cluster_rate_interval
 from ..arguments import Parser, count, episodes
 from ..evaluation.setting import GOAL_RADIUS, scene_seed
 from ..evaluation.sweep import sweep
+from ..outputs import check_writable
 from .conditions import CHANGES, SCENE_KINDS, condition
 from .episodes import OUTCOMES, episode_values, trajectory_arrays
 from .files import SUMMARY, write_evaluation
@@ -182,7 +183,11 @@ def _columns(
 
 
 def _check_same(folder: Path, request: dict[str, Any]) -> None:
-    found = json.loads((folder / SUMMARY).read_text()) if (folder / SUMMARY).is_file() else {}
+    try:
+        found = json.loads((folder / SUMMARY).read_text())
+    except (OSError, ValueError, RecursionError):  # none, or what nobody here has written
+        found = {}
+    found = found if isinstance(found, dict) else {}
     different = [key for key, value in request.items() if found.get(key) != value]
     if different:
         raise FileExistsError(
@@ -220,15 +225,20 @@ def main() -> None:
     torch.set_num_threads(1)
     try:
         systems = [load_system(text) for text in args.systems]
-        for name in args.condition:
-            condition(name)
+        names = [system.name for system in systems]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"{name} names two systems: each needs a folder of its own.")
+        for system, name in itertools.product(systems, args.condition):
+            system.demonstrator(condition(name)["robot"])
+        check_writable(args.output, args.output)
     except (ImportError, OSError, ValueError) as error:
         parser.error(str(error))
     options = {"episodes": args.episodes, "seed": args.seed, "steps": args.steps}
     for system, name in itertools.product(systems, args.condition):
         try:
             folder = evaluate(system, name, args.output, **options)
-        except FileExistsError as error:
+        except OSError as error:
             parser.error(str(error))
         print(f"{system.name} {name}: {folder or 'there already'}", flush=True)
 

@@ -15,6 +15,9 @@ COLUMNS = (
 """Per cent for the first three, over all preferences; then metres at distance = 1, metres at
 demo = 1 and seconds at efficiency = 1."""
 
+CONDITION = "static"
+"""That of the table: its moving human is shown, not counted."""
+
 _NONE = math.nan
 
 TABLE: dict[str, tuple[float, ...]] = {

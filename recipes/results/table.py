@@ -45,13 +45,13 @@ def shown(interval: Interval | None, digits: int) -> str:
 
 
 def main_table(evaluations: dict[str, Evaluation]) -> str:
-    """The columns of Table I, one row a system; under it the paper's row where it has one."""
+    """The columns of Table I, one row a system; under it the paper's where it has one."""
     header = ["system", "seeds", *(quantity.title for quantity in QUANTITIES.values())]
     rows = []
     for name, evaluation in evaluations.items():
         cells = [shown(one.interval(evaluation), one.digits) for one in QUANTITIES.values()]
         rows.append([f"**{name}**", str(len(evaluation.seeds)), *cells])
-        if name in paper.TABLE:
+        if name in paper.TABLE and evaluation.condition == paper.CONDITION:
             printed = dict(zip(paper.COLUMNS, paper.TABLE[name], strict=True))
             values = (printed.get(column, math.nan) for column in QUANTITIES)
             cells = ["-" if math.isnan(value) else f"{value:g}" for value in values]
@@ -132,8 +132,9 @@ def report(evaluations: dict[str, Evaluation], reference: str = "OUR") -> str:
         "Value [95 % interval] (n). SR, CR and TR: success, collisions and timeouts over all "
         "preferences and training seeds, Wilson intervals for as many episodes as the scenes are "
         "worth. Others: one preference, bootstrap over scenes and, of several, training seeds. Time: "
-        "successful episodes. Free way: scenes in which no box stands on the demonstrated path. The "
-        "paper's numbers are of its own simulation.",
+        "successful episodes. Free way: scenes in which no box stands on the demonstrated path."
+        + " The paper's numbers are of its own simulation."
+        * (first.condition == paper.CONDITION),
         main_table(evaluations),
         "Time at efficiency = 1 as a multiple of what the straight line, or the shortest way around "
         "boxes and a standing human, takes at full speed. Rho: Spearman's rank correlation of a "

@@ -26,7 +26,7 @@ def help_text(
     command = f"python -m {module}"
     lines = [f"usage: {command} [FIELD=VALUE ...] [--multirun] [--debug]", "", about, "", "fields:"]
     for leaf in leaves(schema):
-        default = _as_given(select(defaults, leaf.name))
+        default = as_given(select(defaults, leaf.name))
         lines.append(f"  {leaf.name}={default}")
         lines.append(f"      {leaf.description} ({leaf.allowed})")
     for group in sorted(path for path in folder.iterdir() if any(path.glob("*.yaml"))):
@@ -50,11 +50,11 @@ def help_text(
     return "\n".join(lines)
 
 
-def _as_given(value: Any) -> str:
+def as_given(value: Any) -> str:
     """A value as on the command line.
 
     Examples:
-        >>> _as_given([1, None]), _as_given(True), _as_given(3e-4)
+        >>> as_given([1, None]), as_given(True), as_given(3e-4)
         ('[1,null]', 'true', '0.0003')
     """
     if value is None:
@@ -62,5 +62,5 @@ def _as_given(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
-        return f"[{','.join(map(_as_given, value))}]"
+        return f"[{','.join(map(as_given, value))}]"
     return str(value)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 
 from envs import HSR, TURTLEBOT2, Faults, NavigationEnv
 from tests._navigation import F64, drive, make_env, place
@@ -255,8 +256,47 @@ def test_faults_are_checked(kwargs, message):
         Faults(**kwargs)
 
 
-@pytest.mark.parametrize("name", ["goal_radius", "num_rays", "max_range"])
-@pytest.mark.parametrize("value", [0, -1, math.nan])
+@pytest.mark.parametrize("name", ["goal_radius", "max_range"])
+@pytest.mark.parametrize("value", [0, -1, math.nan, math.inf, "4"])
 def test_sizes_are_checked(name, value):
-    with pytest.raises(ValueError, match=f"{name} must be positive, got {value}"):
+    with pytest.raises(ValueError, match=f"{name} must be positive, got {value!r}"):
         NavigationEnv(**{name: value})
+
+
+@pytest.mark.parametrize("name", ["num_rays", "num_envs", "max_episode_steps"])
+@pytest.mark.parametrize(
+    ("value", "allowed"),
+    [
+        (0, "at least 1"),
+        (-1, "at least 1"),
+        (math.nan, "a whole number, at least 1"),
+        (1.5, "a whole number, at least 1"),
+        ("9", "a whole number, at least 1"),
+        (True, "a whole number, at least 1"),
+    ],
+)
+def test_counts_are_checked(name, value, allowed):
+    with pytest.raises(ValueError, match=f"{name} must be {allowed}, got {value!r}"):
+        NavigationEnv(**{name: value})
+
+
+@pytest.mark.parametrize("dtype", [torch.int32, torch.bool, "float32"])
+def test_observations_are_of_a_floating_point_type(dtype):
+    with pytest.raises(ValueError, match="dtype must be a floating point one of PyTorch, got"):
+        NavigationEnv(dtype=dtype)
+
+
+@pytest.mark.parametrize("shape", [(2, 1), (2,), (2, 3), (1, 2), ()])
+def test_an_action_of_another_shape_drives_nobody(shape):
+    """Broadcast, one number would be every robot's speed and turn rate."""
+    env = NavigationEnv(num_envs=2, seed=0)
+    state = env.reset()
+    before = env.simulation_state()["rows"]
+    # Past the checks of a tensordict, as compiled and wrapped environments call it.
+    batch = [] if shape[:1] != (2,) else [2]
+    data = TensorDict(action=torch.full(shape, 0.3), batch_size=batch)
+    with pytest.raises(ValueError, match=r"The action must have shape \[2, 2\], got \["):
+        env._step(data)
+    with pytest.raises(ValueError, match=r"must have shape \[2, 2\], there is none"):
+        env.step(state)
+    assert (env.simulation_state()["rows"] == before).all()

@@ -85,14 +85,6 @@ def _blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", (PAGES / page).read_text(), re.DOTALL)
 
 
-@pytest.mark.parametrize("page", ["scene.md", "robot.md"])
-def test_the_python_of_the_pages_runs(page, capsys):
-    blocks = _blocks(page, "python")
-    assert blocks
-    for block in blocks:
-        exec(compile(block, page, "exec"), {})
-
-
 def test_the_files_of_the_pages_are_taken(tmp_path):
     (text,), (other,) = _blocks("scene.md", "yaml"), _blocks("robot.md", "yaml")
     scene, robot = tmp_path / "doorway.yaml", tmp_path / "my_robot.yaml"

@@ -1,8 +1,8 @@
 """Short trainings of every recipe give the policies that they gave before version 0.2.0.
 
-The numbers are those of commit 4876311 with the versions of constraints.txt on x86-64, where the weights are
-the same bit by bit. Elsewhere sums round differently, hence the tolerance. A change of the training that is
-meant changes them: print ``fingerprint`` anew, and say why in the changelog.
+The numbers are those of the last commit of 0.1 (docs/history/releases.md) with the versions of constraints.txt
+on x86-64, where the weights are the same bit by bit. Elsewhere sums round differently, hence the tolerance. A
+change of the training that is meant changes them: print ``fingerprint`` anew, and say why in the changelog.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.modules import TanhModule
 
+from torchrl_morl.arguments import check_count, check_sizes, key_list
 from torchrl_morl.modules.inputs import NamedInputsMLP, resolve_in_features
 
 __all__ = ["make_actor", "make_vector_critic", "saturated_fraction"]
@@ -111,7 +112,9 @@ def make_actor(
         torch.Size([4, 5, 2])
 
     """
+    in_keys = key_list(in_keys)
     in_features = resolve_in_features(in_features, in_keys, observation_spec)
+    check_sizes(in_features, num_cells)
     low, high = _action_bounds(action_spec, out_key)
     mlp = NamedInputsMLP(
         in_keys,
@@ -193,11 +196,12 @@ def make_vector_critic(
         torch.Size([5, 3])
 
     """
+    in_keys = key_list(in_keys)
     in_features = resolve_in_features(
         in_features, in_keys, observation_spec, action_spec, action_key
     )
-    if num_objectives < 1:
-        raise ValueError(f"num_objectives must be positive, got {num_objectives}.")
+    check_sizes(in_features, num_cells)
+    check_count("num_objectives", num_objectives)
     num_cells = list(num_cells)
     mlp = NamedInputsMLP(
         in_keys,
@@ -267,6 +271,9 @@ def _action_bounds(action_spec: TensorSpec, key: NestedKey) -> tuple[Tensor, Ten
         else action_spec.space.low[None]
     )
     high = action_spec.space.high.expand(action_spec.shape).reshape(low.shape)
+    if not (low.isfinite().all() and high.isfinite().all()):
+        bounds = low[0].tolist(), high[0].tolist()
+        raise ValueError("the bounds of action_spec must be finite, got {} and {}.".format(*bounds))
     if (low != low[0]).any() or (high != high[0]).any():
         raise ValueError("action_spec has different bounds within its batch dimensions.")
     return low[0].clone(), high[0].clone()

@@ -10,6 +10,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor, nn
 from torchrl.data import Composite, TensorSpec
 
+from torchrl_morl.arguments import check_count, check_sizes, key_list
 from torchrl_morl.modules.inputs import NamedInputsMLP, resolve_in_features
 from torchrl_morl.modules.networks import _ScaledLinear, keep_precision
 
@@ -82,11 +83,12 @@ class RewardModel(TensorDictModule):
         action_key: NestedKey = "action",
         device: torch.device | str | None = None,
     ) -> None:
-        if num_members < 1:
-            raise ValueError(f"num_members must be at least 1, got {num_members}.")
+        check_count("num_members", num_members)
+        in_keys = key_list(in_keys)
         in_features = resolve_in_features(
             in_features, in_keys, observation_spec, action_spec, action_key
         )
+        check_sizes(in_features, num_cells)
         members = []
         for _ in range(num_members):
             mlp = NamedInputsMLP(
@@ -101,7 +103,7 @@ class RewardModel(TensorDictModule):
                 keep_precision(mlp, 0)
             mlp[-1] = _ScaledLinear(mlp[-1].in_features, 1, gain=last_layer_gain, device=device)
             members.append(mlp)
-        super().__init__(_MeanSigmoid(members), in_keys=list(in_keys), out_keys=[out_key])
+        super().__init__(_MeanSigmoid(members), in_keys=in_keys, out_keys=[out_key])
 
     @property
     def in_features(self) -> int:

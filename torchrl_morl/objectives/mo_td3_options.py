@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+from torchrl_morl.arguments import check_count, check_preference_space
 from torchrl_morl.modules import PreferenceInterpolator, ValueSpace
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ _AMOUNTS = (
     "noise_clip",
 )
 
+_DISTANCES = ("l1", "l2", "smooth_l1")
+
 
 def check_amounts(options: Mapping[str, Any]) -> None:
     """Raise a ValueError unless coefficients and noise are finite and not negative."""
@@ -28,6 +31,10 @@ def check_amounts(options: Mapping[str, Any]) -> None:
         value = float(options.get(name, 0.0))
         if not 0 <= value < math.inf:
             raise ValueError(f"{name} must not be negative and must be finite, got {value}.")
+    if "num_qvalue_nets" in options:
+        check_count("num_qvalue_nets", options["num_qvalue_nets"])
+    if (name := options.get("loss_function", "smooth_l1")) not in _DISTANCES:
+        raise ValueError(f"loss_function must be one of {_DISTANCES}, got {name!r}.")
 
 
 def check_options(
@@ -37,6 +44,8 @@ def check_options(
     interpolator: PreferenceInterpolator | None,
 ) -> None:
     """Raise a ValueError for an option that is unknown or contradicts another."""
+    if preference_space is not None:
+        check_preference_space(preference_space)
     if target_selection not in get_args(TargetSelection):
         raise ValueError(
             f"target_selection must be one of {get_args(TargetSelection)}, "

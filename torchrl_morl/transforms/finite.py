@@ -10,6 +10,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
+from torchrl_morl.arguments import key_list
 from torchrl_morl.representation import describe
 
 __all__ = ["CheckFinite", "check_finite"]
@@ -82,7 +83,7 @@ class CheckFinite(Transform):
     """
 
     def __init__(self, in_keys: Sequence[NestedKey] = ("observation",)) -> None:
-        super().__init__(in_keys=list(in_keys), out_keys=list(in_keys))
+        super().__init__(in_keys=key_list(in_keys), out_keys=key_list(in_keys))
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         check_finite(next_tensordict, self.in_keys)

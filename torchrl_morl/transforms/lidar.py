@@ -14,6 +14,7 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs.transforms import ObservationTransform
 
+from torchrl_morl.arguments import check_count, check_positive, key_list
 from torchrl_morl.representation import describe
 from torchrl_morl.transforms.stored import apart_from_storage
 
@@ -25,6 +26,9 @@ class LogRange:
     """Maps ranges in metres to ``log(range / max_range) / 3``."""
 
     max_range: float
+
+    def __post_init__(self) -> None:
+        check_positive("max_range", self.max_range)
 
     def __call__(self, ranges: Tensor) -> Tensor:
         """Ranges of any shape, at least a millimetre."""
@@ -99,8 +103,8 @@ class LidarMinPool(ObservationTransform):
         range_min: float | None = None,
         range_max: float | None = None,
     ) -> None:
-        if num_sectors < 1:
-            raise ValueError(f"num_sectors must be at least 1, got {num_sectors}.")
+        check_count("num_sectors", num_sectors)
+        in_keys, out_keys = key_list(in_keys), key_list(out_keys)
         if len(in_keys) != len(out_keys):
             raise ValueError(f"got {len(in_keys)} in_keys but {len(out_keys)} out_keys.")
         given = (range_min is not None, range_max is not None)
@@ -109,7 +113,7 @@ class LidarMinPool(ObservationTransform):
                 "range_min and range_max must both be given, finite, not negative and in ascending "
                 f"order, got {range_min} and {range_max}."
             )
-        super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.num_sectors = num_sectors
         self.range_min, self.range_max = range_min, range_max
 

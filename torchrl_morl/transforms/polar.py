@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Sequence
 
 import torch
@@ -13,6 +14,7 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs.transforms import ObservationTransform
 
+from torchrl_morl.arguments import key_list
 from torchrl_morl.representation import describe
 from torchrl_morl.transforms.stored import apart_from_storage
 
@@ -71,15 +73,17 @@ class PolarFeatures(ObservationTransform):
         out_keys: Sequence[NestedKey] = ("goal_features", "human_features"),
         scale: float | Sequence[float] = 1.0,
     ) -> None:
+        in_keys, out_keys = key_list(in_keys), key_list(out_keys)
         if len(in_keys) != len(out_keys):
             raise ValueError(f"got {len(in_keys)} in_keys but {len(out_keys)} out_keys.")
-        scales = tuple(scale) if isinstance(scale, Sequence) else (scale,) * len(in_keys)
+        is_list = isinstance(scale, Sequence) and not isinstance(scale, str)
+        scales = tuple(scale) if is_list else (scale,) * len(in_keys)
         if len(scales) != len(in_keys):
             raise ValueError(f"got {len(scales)} scales for {len(in_keys)} in_keys.")
         for key, value in zip(in_keys, scales):
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"the scale of {key!r} must be finite and > 0, got {value}.")
-        super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
+            if not (isinstance(value, numbers.Real) and 0 < value < math.inf):
+                raise ValueError(f"the scale of {key!r} must be finite and > 0, got {value!r}.")
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.scales = tuple(float(value) for value in scales)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:

@@ -13,6 +13,7 @@ from torchrl.data import Bounded, Composite
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 
+from torchrl_morl.arguments import check_count, check_preference_space
 from torchrl_morl.generators import generator_from, generator_state
 from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution, check_distribution
 from torchrl_morl.representation import describe
@@ -34,6 +35,7 @@ class _RandomPreferences(Transform):
     ) -> None:
         super().__init__(**keys)
         check_distribution(distribution)
+        check_preference_space(preference_space)
         self.preference_space = preference_space
         self.distribution = distribution
         self.generator = None if seed is None else torch.Generator().manual_seed(seed)
@@ -137,6 +139,7 @@ class PreferenceSampler(_RandomPreferences):
         )
         self.segments = None
         if num_segments is not None:
+            check_count("num_segments", num_segments)
             self.segments = PreferenceSegments(preference_space, num_segments)
         self.preference_key = unravel_key(preference_key)
         self.reset_key = None if reset_key is None else unravel_key(reset_key)

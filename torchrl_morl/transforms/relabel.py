@@ -6,12 +6,15 @@ change.
 
 from __future__ import annotations
 
+import numbers
+
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import TensorSpec
 
+from torchrl_morl.arguments import check_count
 from torchrl_morl.generators import rand
 from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution
 from torchrl_morl.representation import describe
@@ -122,8 +125,8 @@ class PreferenceRelabel(_HindsightPreferences):
         preference_key: NestedKey = "preference",
         seed: int | None = None,
     ) -> None:
-        if not 0 <= ratio <= 1:
-            raise ValueError(f"ratio must be in [0, 1], got {ratio}.")
+        if not (isinstance(ratio, numbers.Real) and 0 <= ratio <= 1):
+            raise ValueError(f"ratio must be in [0, 1], got {ratio!r}.")
         super().__init__(preference_space, distribution, preference_key, seed)
         self.ratio = ratio
 
@@ -201,8 +204,7 @@ class PreferenceExpand(_HindsightPreferences):
         preference_key: NestedKey = "preference",
         seed: int | None = None,
     ) -> None:
-        if copies < 1:
-            raise ValueError(f"copies must be at least 1, got {copies}.")
+        check_count("copies", copies)
         super().__init__(preference_space, distribution, preference_key, seed)
         self.copies = copies
 

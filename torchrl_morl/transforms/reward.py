@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
+from torchrl_morl.arguments import check_preference_space, key_list
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.representation import describe
 from torchrl_morl.transforms.stored import apart_from_storage
@@ -62,9 +63,11 @@ class ScalarizeReward(Transform):
         *,
         preference_key: NestedKey = "preference",
     ) -> None:
+        in_keys, out_keys = key_list(in_keys), key_list(out_keys)
         if len(in_keys) != len(out_keys):
             raise ValueError(f"got {len(in_keys)} in_keys but {len(out_keys)} out_keys.")
-        super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        check_preference_space(preference_space)
         self.preference_space = preference_space
         self.preference_key = unravel_key(preference_key)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from copy import deepcopy
 from typing import Self
 
@@ -14,6 +13,7 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
+from torchrl_morl.arguments import check_count, check_positive
 from torchrl_morl.representation import describe
 from torchrl_morl.transforms.stored import apart_from_storage
 
@@ -77,15 +77,15 @@ class RewardModelReward(Transform):
         scale: float = 10.0,
         score_key: NestedKey = "demo_score",
     ) -> None:
+        if not isinstance(reward_model, TensorDictModuleBase):
+            raise ValueError(f"reward_model must be a TensorDictModule, got {reward_model!r}.")
         super().__init__(in_keys=[reward_key], out_keys=[reward_key])
         self.score_key = unravel_key(score_key)
         written = [unravel_key(key) for key in reward_model.out_keys]
         if self.score_key not in written:
             raise ValueError(f"the reward model writes {written}, not {score_key!r}.")
-        if not 0 < scale < math.inf:
-            raise ValueError(f"scale must be positive and finite, got {scale}.")
-        if position < 0:
-            raise ValueError(f"position must not be negative, got {position}.")
+        check_positive("scale", scale)
+        check_count("position", position, least=0)
         self.position = position
         self.scale = scale
         # A copy: freezing the caller's model would end its training.

@@ -268,6 +268,7 @@ def test_members_that_do_not_belong_together(tmp_path):
             "argument --episodes: must be a whole number from 1 to 100000, got '0'",
         ),
         (["x=nowhere"], "not found"),
+        (["x=reference:straight", "x=reference:straight"], "x names two systems"),
     ],
 )
 def test_errors_come_before_any_work(arguments, message, tmp_path, monkeypatch, capsys):
@@ -276,6 +277,26 @@ def test_errors_come_before_any_work(arguments, message, tmp_path, monkeypatch, 
         module.main()
     assert message in capsys.readouterr().err
     assert not (tmp_path / "o").exists()
+
+
+def test_an_output_that_is_a_file_is_named_before_any_work(tmp_path, monkeypatch, capsys):
+    (tmp_path / "mine.csv").write_text("mine")
+    monkeypatch.setattr(module, "sweep", lambda *_, **__: pytest.fail("it has begun"))
+    arguments = ["x=reference:straight", "--output", str(tmp_path / "mine.csv")]
+    monkeypatch.setattr(sys, "argv", ["evaluate", *arguments])
+    with pytest.raises(SystemExit):
+        module.main()
+    assert "mine.csv is not a folder" in capsys.readouterr().err
+    assert (tmp_path / "mine.csv").read_text() == "mine"
+
+
+@pytest.mark.parametrize("content", ["[", "[]", "5", "[" * 100_000, "\udcff"])
+def test_what_is_no_summary_is_another_evaluation(content, tmp_path):
+    folder = tmp_path / CIRCLE.name / "static"
+    folder.mkdir(parents=True)
+    (folder / "summary.json").write_bytes(content.encode(errors="surrogateescape"))
+    with pytest.raises(FileExistsError, match="holds another evaluation"):
+        evaluate(CIRCLE, "static", tmp_path, **OPTIONS)
 
 
 def test_numbers_survive_the_file(tmp_path):

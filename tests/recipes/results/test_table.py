@@ -17,7 +17,7 @@ from recipes.results.comparison import (
     ratio_to_bound,
     steering,
 )
-from recipes.results.files import read_evaluation
+from recipes.results.files import read_evaluation, read_evaluations
 from tests._results import SCENES, STEPS, fabricate
 
 EPISODES = 2 * 3 * STEPS * SCENES
@@ -132,6 +132,12 @@ def test_report(output, monkeypatch, capsys):
     assert "| NH - OUR |" in text and "| CORE - OUR |" in text
     for one in (line for line in lines if line.startswith("|")):
         assert one.count("|") >= 9
+
+
+def test_the_papers_row_stands_in_its_own_condition_alone(tmp_path):
+    fabricate(tmp_path, condition="moving_human")
+    text = table.report(read_evaluations(tmp_path, "moving_human"))
+    assert "in the paper" not in text and "paper's numbers" not in text
 
 
 def test_the_table_says_what_is_missing(tmp_path, monkeypatch, capsys):

@@ -198,7 +198,7 @@ def test_bad_arguments():
     spec = Bounded(torch.tensor([[0.0], [-1.0]]), torch.ones(2, 1))
     with pytest.raises(ValueError, match="different bounds"):
         make_actor(spec, in_features=7)
-    with pytest.raises(ValueError, match="num_objectives must be positive"):
+    with pytest.raises(ValueError, match="num_objectives must be at least 1"):
         make_vector_critic(0, in_features=9)
 
 

@@ -289,7 +289,7 @@ class TestRewardModelReward(TransformTests):
             RewardModelReward(MODEL, score_key="style")
         with pytest.raises(ValueError, match="scale must be positive"):
             RewardModelReward(MODEL, scale=0.0)
-        with pytest.raises(ValueError, match="position must not be negative"):
+        with pytest.raises(ValueError, match="position must be at least 0, got -"):
             RewardModelReward(MODEL, position=-1)
         transform = RewardModelReward(MODEL, position=4)
         with pytest.raises(ValueError, match="position 4 is beyond the end of 'reward'"):
