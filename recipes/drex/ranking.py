@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -169,6 +170,10 @@ def train_reward_model(
                     batch = prepare(steps[drawn], section.action_noise, hidden, generator)
                     score = scored(loss, batch)
                     value = value - section.demonstration_coeff * score.log().mean()
+            decayed = 0.5 * (1 + math.cos(math.pi * update / section.updates))
+            rate = section.final_lr_ratio + (1 - section.final_lr_ratio) * decayed
+            for group in optimizer.param_groups:
+                group["lr"] = section.lr * rate
             optimizer.zero_grad()
             value.backward()
             optimizer.step()

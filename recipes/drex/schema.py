@@ -148,7 +148,10 @@ class RewardModel(Section):
     )
     batch_size: int = Field(ge=2, le=100_000, description="Pairs of an update.")
     updates: Count = Field(description="Updates of R.")
-    lr: Positive = Field(description="Learning rate of AdamW.")
+    lr: Positive = Field(description="Learning rate of AdamW at the start.")
+    final_lr_ratio: Share = Field(
+        description="Learning rate at the end as a share of that at the start; a cosine between."
+    )
     weight_decay: NotNegative = Field(description="Weight decay of AdamW.")
     label_smoothing: float = Field(
         ge=0, lt=1, description="How much of a label is given to the other side."

@@ -1,9 +1,9 @@
 """MO-PPO: one policy for all preferences, learned on its own episodes, from nothing or from a policy.
 
 PPO (https://arxiv.org/abs/1707.06347) whose critic has one value per objective; the advantages are
-weighed by the preference of their episode. Run it with ``python -m recipes.mo_ppo.mo_ppo``, or with
-``preset=polish policy=FOLDER`` to go on from a policy; every field of ``config.yaml`` can be
-overridden on the command line.
+weighed by the preference of their episode. Run it with ``python -m recipes.mo_ppo.mo_ppo
+policy=FOLDER``, or with ``preset=nothing``; every field of ``config.yaml`` can be overridden on the
+command line.
 """
 
 from __future__ import annotations
