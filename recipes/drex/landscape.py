@@ -312,6 +312,7 @@ def figure(path: Path, rows: Sequence[Paid]) -> None:
         ax.bar_label(bars, fmt="%.0f", fontsize=8, padding=2)
         ax.margins(x=0.2)
         ax.set_title(f"noise {_shown(noise)}", fontsize=10)
+        ax.locator_params(axis="x", nbins=4)
         ax.grid(axis="x", alpha=0.3)
     axes[0][0].invert_yaxis()
     fig.supxlabel("return of the demonstrated style; the most is framed", fontsize=10)

@@ -72,7 +72,6 @@ def small_policy(folder: Path, preference_space: PreferenceSpace = SPACE) -> Pat
 def run(folder: Path, policy: Path, *overrides: str) -> Path:
     run_here(
         mo_ppo.main,
-        "preset=polish",
         f"policy={policy}",
         *TINY,
         *overrides,
