@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import Any
 from unittest import mock
 
-
 # What tensordict says while PyTorch compiles, to its own developers: that it reads a setting of PyTorch
 # which does nothing any more, and that it locks a tensordict in a graph, where nothing unlocks it.
 _AMONG_LIBRARIES = (
