@@ -7,8 +7,6 @@ tag of YAML builds an object.
 from __future__ import annotations
 
 import difflib
-import math
-import numbers
 import reprlib
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -160,16 +158,6 @@ class Fields:
 def is_name(value: Any) -> bool:
     """Whether it is text of one line."""
     return isinstance(value, str) and bool(value.strip()) and value.isprintable()
-
-
-def is_number(value: Any) -> bool:
-    """Whether it is a finite real number; ``True`` and ``"1"`` are none."""
-    if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # an integer beyond all floats
-        return False
 
 
 def is_list(value: Any) -> bool:

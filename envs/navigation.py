@@ -17,12 +17,12 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 
-from torchrl_morl.arguments import check_count
+from torchrl_morl.arguments import check_count, is_number
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
 from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl, yaw_quaternion
 from .faults import Faults, get_faults
-from .fields import is_number, shown
+from .fields import shown
 from .geometry import arctan2, cos_sin
 from .lidar import MIN_RANGE, Lidar
 from .mjcf import Drive, navigation_mjcf, time_step

@@ -11,7 +11,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from .fields import is_number, shown
+from torchrl_morl.arguments import is_number
+
+from .fields import shown
 from .geometry import norm
 
 

@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from .fields import Fields, is_description, is_name, is_number, number_hint, shown
+from torchrl_morl.arguments import is_number
+
+from .fields import Fields, is_description, is_name, number_hint, shown
 
 _LIMITS = {
     "radius": (2.0, "metres"),

@@ -12,7 +12,9 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from .fields import Fields, is_description, is_list, is_number, number_hint, shown
+from torchrl_morl.arguments import is_number
+
+from .fields import Fields, is_description, is_list, number_hint, shown
 from .scene_checks import problems, solvable
 from .scenes import SCENES, Scene
 

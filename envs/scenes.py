@@ -20,9 +20,10 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from torchrl_morl.arguments import is_number
 from torchrl_morl.geometry import box_box_distance, point_box_distance, segment_box_distance
 
-from .fields import is_name, is_number, shown
+from .fields import is_name, shown
 
 HUMAN_RADIUS = 0.25
 """Radius of the cylinder that stands for the human, metres."""

@@ -9,9 +9,22 @@ from collections.abc import Sequence
 
 from tensordict.utils import NestedKey
 
-from torchrl_morl.preferences import PreferenceSpace
+__all__ = ["check_count", "check_positive", "check_sizes", "is_number", "key_list"]
 
-__all__ = ["check_count", "check_positive", "check_preference_space", "check_sizes", "key_list"]
+
+def is_number(value: object) -> bool:
+    """Whether it is a finite real number; ``True`` and ``"1"`` are none.
+
+    Example:
+        >>> is_number(1), is_number(float("nan")), is_number(True), is_number(10**400)
+        (True, False, False, False)
+    """
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an integer beyond all floats
+        return False
 
 
 def check_count(name: str, value: object, least: int = 1) -> None:
@@ -40,15 +53,8 @@ def check_sizes(in_features: int, num_cells: Sequence[int]) -> None:
 
 def check_positive(name: str, value: object) -> None:
     """Raise ``ValueError`` unless it is a real number above zero, and finite."""
-    real = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not (real and 0 < value < math.inf):
+    if not (is_number(value) and value > 0):
         raise ValueError(f"{name} must be positive and finite, got {reprlib.repr(value)}.")
-
-
-def check_preference_space(value: object) -> None:
-    """Raise ``ValueError`` unless it is a :class:`~torchrl_morl.preferences.PreferenceSpace`."""
-    if not isinstance(value, PreferenceSpace):
-        raise ValueError(f"preference_space must be a PreferenceSpace, got {reprlib.repr(value)}.")
 
 
 def key_list(keys: NestedKey | Sequence[NestedKey]) -> list[NestedKey]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import numbers
+import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
@@ -17,9 +18,15 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
+from torchrl_morl.arguments import check_count
 from torchrl_morl.generators import randn
 
-__all__ = ["PreferenceSpace", "SamplingDistribution", "check_distribution"]
+__all__ = [
+    "PreferenceSpace",
+    "SamplingDistribution",
+    "check_distribution",
+    "check_preference_space",
+]
 
 SamplingDistribution = Literal["dirichlet", "abs_normal", "jeffreys"]
 
@@ -273,7 +280,7 @@ class PreferenceSpace:
                     [1.0000, 0.0000]])
 
         """
-        _check_count("divisions", divisions, 1)
+        check_count("divisions", divisions, 1)
         bars = self.num_tunable - 1
         last = divisions + bars
         rows = []
@@ -307,7 +314,7 @@ class PreferenceSpace:
                     [1.0000, 0.0000]])
 
         """
-        _check_count("steps", steps, 2)
+        check_count("steps", steps, 2)
         size = self.num_tunable
         if size == 1:
             return torch.ones(1, 1)
@@ -341,11 +348,10 @@ def _on_simplex(preference: Tensor, tol: float) -> bool:
     return bool(preference.amin() >= 0 and low >= 1 - tol and high <= 1 + tol)
 
 
-def _check_count(name: str, value: int, least: int) -> None:
-    if not isinstance(value, numbers.Integral):
-        raise ValueError(f"{name} must be a whole number, at least {least}, got {value!r}.")
-    if value < least:
-        raise ValueError(f"{name} must be at least {least}, got {value}.")
+def check_preference_space(value: object) -> None:
+    """Raise ``ValueError`` unless it is a :class:`PreferenceSpace`."""
+    if not isinstance(value, PreferenceSpace):
+        raise ValueError(f"preference_space must be a PreferenceSpace, got {reprlib.repr(value)}.")
 
 
 def check_distribution(distribution: str) -> None:

@@ -9,10 +9,11 @@ from typing import Any, get_args
 
 from envs import Robot, Scene, get_robot, get_scene
 from envs.demonstrations import CircleDemonstrator
-from envs.fields import is_number, shown
+from envs.fields import shown
 from envs.mjcf import Drive
 from envs.policy_env import observed
 from envs.splits import TEST_SEEDS, check_test_seed
+from torchrl_morl.arguments import is_number
 from torchrl_morl.deploy import training_config
 from torchrl_morl.deploy.features import observation_parts
 
@@ -150,13 +151,11 @@ def demonstrator(card: Mapping[str, Any], robot: Robot) -> CircleDemonstrator | 
     """
     if "demonstrator" not in card:
         return None
+    arguments = demonstration(card)
     try:
-        return CircleDemonstrator(**demonstration(card), robot=robot)
+        return CircleDemonstrator(**arguments, robot=robot)
     except ValueError as error:
-        message = str(error)
-        raise ValueError(
-            message if message.startswith("card: ") else f"card: demonstrator: {message}"
-        ) from error
+        raise ValueError(f"card: demonstrator: {error}") from error
 
 
 def _named(value: Scene | Robot | str) -> str:

@@ -23,7 +23,10 @@ WITH_PYTHON = [page for page in PAGES if blocks(page.read_text(), "python")]
 WITH_SHELL = [page for page in PAGES if blocks(page.read_text(), "bash")]
 
 NO_TREES = "SumSegmentTree"
-"""What TorchRL 0.14.1 says where its compiled part does not load, beside PyTorch 2.13."""
+"""What TorchRL says where its compiled part does not load."""
+
+PRIORITIZED = "TensorDictPrioritizedReplayBuffer"
+"""What needs those trees."""
 
 
 @pytest.fixture
@@ -56,7 +59,8 @@ def test_the_python_of_a_page_runs(page, checkout):
             try:
                 exec(code, names)
             except RuntimeError as error:
-                if NO_TREES not in str(error):
+                # Nothing else may fail, nor where the compiled part loads: there is no such error then.
+                if NO_TREES not in str(error) or PRIORITIZED not in block.code:
                     raise
 
 

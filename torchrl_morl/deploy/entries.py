@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import numbers
 import reprlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -153,16 +152,6 @@ def one_line(error: object) -> str:
     """The message of an error in one short line, without the dot at its end."""
     text = " ".join(str(error).split())
     return (text if len(text) <= 200 else f"{text[:200]}...").removesuffix(".")
-
-
-def is_finite(value: object) -> bool:
-    """Whether it is a real number, and a finite one; ``True`` and ``"1"`` are none."""
-    if isinstance(value, bool) or not isinstance(value, numbers.Real):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # an integer beyond all floats
-        return False
 
 
 def null_for_nan(value: Any) -> Any:

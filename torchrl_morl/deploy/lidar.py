@@ -10,7 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .entries import is_finite, one_line
+from torchrl_morl.arguments import is_number
+
+from .entries import one_line
 from .sensing import Sensing
 
 __all__ = ["LidarGeometry"]
@@ -63,11 +65,11 @@ class LidarGeometry:
 
     def __post_init__(self) -> None:
         for name in ("first_angle", "increment", "range_min", "range_max"):
-            if not is_finite(getattr(self, name)):
+            if not is_number(getattr(self, name)):
                 raise self._refused(name, "finite")
         if not isinstance(self.mount, Sequence | np.ndarray) or len(self.mount) != 3:
             raise self._refused("mount", "x, y and yaw")
-        if not all(map(is_finite, self.mount)):
+        if not all(map(is_number, self.mount)):
             raise self._refused("mount", "x, y and yaw, all finite")
         object.__setattr__(self, "mount", tuple(map(float, self.mount)))
         if not isinstance(self.num_beams, int | np.integer) or isinstance(self.num_beams, bool):

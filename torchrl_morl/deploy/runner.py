@@ -10,7 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .entries import is_finite, one_line
+from torchrl_morl.arguments import is_number
+
+from .entries import one_line
 from .lidar import LidarGeometry
 from .policy import Policy
 
@@ -134,7 +136,7 @@ class PolicyRunner:
         )
         for name in ("goal_radius", "timeout", "max_speed", "max_turn_rate"):
             value = getattr(self, name)
-            if not (is_finite(value) and value > 0):
+            if not (is_number(value) and value > 0):
                 raise ValueError(f"{name} must be finite and positive, got {value!r}.")
         self._time: float | None = None
         self._human: tuple[float, float, float] | None = None
@@ -170,8 +172,8 @@ class PolicyRunner:
                 (m) and heading (rad). The velocity is then that between two positions of the human;
                 at first sight it is 0.
         """
-        last, self._time = self._time, time if is_finite(time) else self._time
-        if not is_finite(time) or not is_finite(stamp):
+        last, self._time = self._time, time if is_number(time) else self._time
+        if not is_number(time) or not is_number(stamp):
             given = f"{_shown(time)} and {_shown(stamp)}"
             return self._stop("clock", f"time and stamp must be finite numbers, got {given}")
         if last is not None and time <= last:

@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from torchrl_morl.arguments import check_count, check_preference_space
+from torchrl_morl.arguments import check_count
 from torchrl_morl.modules import PreferenceInterpolator, ValueSpace
+from torchrl_morl.preferences import check_preference_space
 
 if TYPE_CHECKING:
     from torchrl_morl.preferences import PreferenceSpace

@@ -10,14 +10,19 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Bounded, Composite
-from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 
-from torchrl_morl.arguments import check_count, check_preference_space
+from torchrl_morl.arguments import check_count
 from torchrl_morl.generators import generator_from, generator_state
-from torchrl_morl.preferences import PreferenceSpace, SamplingDistribution, check_distribution
+from torchrl_morl.preferences import (
+    PreferenceSpace,
+    SamplingDistribution,
+    check_distribution,
+    check_preference_space,
+)
 from torchrl_morl.representation import describe
 from torchrl_morl.segments import PreferenceSegments
+from torchrl_morl.transforms.holder import is_in_environment
 from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["PreferenceSampler"]
@@ -226,7 +231,7 @@ class PreferenceSampler(_RandomPreferences):
         if preference is None or torch.compiler.is_compiling() or _is(preference, self._stepped):
             return tensordict
         if not _is(preference, self._handed_out):
-            if not self._is_in_environment():
+            if not is_in_environment(self):
                 return tensordict
             self.preference_space.validate(preference)
         self._stepped = _now(preference)
@@ -243,14 +248,6 @@ class PreferenceSampler(_RandomPreferences):
         tensordict.set(self.preference_key, preference)
         if not torch.compiler.is_compiling():
             self._handed_out = _now(preference)
-
-    def _is_in_environment(self) -> bool:
-        """Not so in a replay buffer, whose writes pass through here as well."""
-        holder: object = self
-        while isinstance(holder, Transform):
-            reference = holder.__dict__["_container"]
-            holder = None if reference is None else reference()
-        return isinstance(holder, EnvBase)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

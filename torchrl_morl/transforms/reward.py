@@ -10,8 +10,8 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
-from torchrl_morl.arguments import check_preference_space, key_list
-from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.arguments import key_list
+from torchrl_morl.preferences import PreferenceSpace, check_preference_space
 from torchrl_morl.representation import describe
 from torchrl_morl.transforms.stored import apart_from_storage
 

@@ -15,6 +15,7 @@ from torchrl.envs.transforms import Transform
 
 from torchrl_morl.arguments import check_count, check_positive
 from torchrl_morl.representation import describe
+from torchrl_morl.transforms.holder import is_in_environment
 from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["RewardModelReward"]
@@ -129,7 +130,7 @@ class RewardModelReward(Transform):
         # `_step` gets what the base environment got, an action that the whole chain has converted;
         # here it is still the one that this place in the chain exposes. A replay buffer calls this
         # too, on what it is about to store.
-        if self._in_env():
+        if is_in_environment(self):
             tensordict.set(self._carried_key, self._score(tensordict))
         return tensordict
 
@@ -138,13 +139,6 @@ class RewardModelReward(Transform):
         reward = next_tensordict.get(self.in_keys[0])
         next_tensordict.set(self.in_keys[0], self._insert(reward, self.scale * (score - 1)))
         return next_tensordict
-
-    def _in_env(self) -> bool:
-        try:
-            return self.container is not None
-        except ValueError:
-            # TorchRL's answer where a replay buffer holds the chain.
-            return False
 
     @property
     def _carried_key(self) -> NestedKey:

@@ -2,115 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import logging
-import os
-import signal
 import sys
 import warnings
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-TOY = '''"""Toy: counts.
-
-More about it.
-"""
-
-from typing import Annotated
-
-from pydantic import Field
-
-from recipes.training import command
-from recipes.training.fields import Allows, Count, IsPath, RunFolder, Section
-
-
-class Inner(Section):
-    size: Count = Field(description="Size of it, metres.")
-    names: list[str] | None = Field(None, description="Names of it.")
-
-
-class Config(Section):
-    steps: Count = Field(description="Steps to take.")
-    source: Annotated[str, IsPath(), Allows("a file")] | None = Field(description="File to read.")
-    resume: RunFolder | None = Field(description="Run to go on from.")
-    inner: Inner
-
-
-@command.recipe("toy", Config)
-def main(cfg):
-    act(cfg)
-
-
-def act(cfg):
-    pass
-'''
-YAML = """
-steps: 3
-source: null
-resume: null
-inner:
-  size: 1
-hydra:
-  run:
-    dir: ${new_run:runs/toy}
-  sweep:
-    dir: ${new_run:runs/toy}
-    subdir: ${hydra.job.num}
-"""
-
-
-@pytest.fixture
-def toy(tmp_path, monkeypatch) -> ModuleType:
-    """A recipe, in a folder with a name that Hydra's grammar cannot read."""
-    folder = tmp_path / "Käfer (1), a=b"
-    (folder / "preset").mkdir(parents=True)
-    (folder / "preset" / "large.yaml").write_text("# @package _global_\nsteps: 9\n")
-    (folder / "toy.yaml").write_text(YAML)
-    (folder / "toy.py").write_text(TOY)
-    spec = importlib.util.spec_from_file_location("toy", folder / "toy.py")
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "toy", module)
-    spec.loader.exec_module(module)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
-    return module
-
-
-def run(toy: ModuleType, *arguments: str) -> int:
-    """Its exit code."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["toy.py", *arguments])
-        try:
-            toy.main()
-        except SystemExit as stop:
-            return stop.code
-    return 0
-
-
-def begun(folder: Path) -> None:
-    """A run that was cut short."""
-    (folder / "checkpoints").mkdir(parents=True)
-    (folder / ".hydra").mkdir()
-    (folder / ".hydra" / "overrides.yaml").write_text("[]")
-
-
-def written(tmp_path: Path) -> list[str]:
-    """What a command has left, but for the recipe and the folder that runs stand in."""
-    return sorted(
-        str(path.relative_to(tmp_path))
-        for path in tmp_path.rglob("*")
-        if not path.is_relative_to(tmp_path / "Käfer (1), a=b") and path.is_file()
-    )
-
-
-def only_line(capsys) -> str:
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    (line,) = printed.err.splitlines()
-    return line
-
+from tests._toy import begun, only_line, run, written
 
 # --- where it runs
 
@@ -389,86 +288,6 @@ def test_a_start_that_its_recipe_refuses_leaves_no_folders(toy, given, tmp_path,
     assert list((tmp_path / "new").iterdir()) == [] and [
         path.name for path in (tmp_path / "runs").iterdir()
     ] == ["toy"]
-
-
-# --- how it is stopped
-
-
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_training_finishes_its_step_and_says_how_to_go_on(toy, number, code, tmp_path, capsys):
-    steps, before = [], [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
-
-    def act(cfg):
-        for step in toy.command.until_stopped(range(cfg.steps)):
-            if step == 1:
-                os.kill(os.getpid(), number)
-            steps.append(step)
-        assert toy.command.stop_requested()
-        (tmp_path / "my run" / "checkpoints" / "2").mkdir(parents=True)
-        raise toy.command.Stopped(f"after {len(steps)} steps")
-
-    toy.act = act
-    assert run(toy, "steps=100", "hydra.run.dir=my run") == code
-    assert steps == [0, 1]
-    line = only_line(capsys)
-    assert line.startswith("stopped after 2 steps; go on with: python -m toy ")
-    assert line.endswith(" 'resume=my run'")
-    assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
-
-
-def test_ctrl_c_before_the_first_step_ends_at_once_and_leaves_no_folder(toy, tmp_path, capsys):
-    def act(cfg):
-        os.kill(os.getpid(), signal.SIGINT)
-        pytest.fail("it goes on")
-
-    toy.act = act
-    assert run(toy) == 130
-    assert only_line(capsys) == "stopped before anything was done"
-    assert not (tmp_path / "runs").exists()
-
-
-@pytest.mark.parametrize(("again", "steps"), [(signal.SIGINT, 0), (signal.SIGTERM, 1)])
-def test_a_second_ctrl_c_ends_at_once_and_a_second_sigterm_does_not(toy, again, steps, capsys):
-    done = []
-
-    def act(cfg):
-        for _ in toy.command.until_stopped(range(cfg.steps)):
-            os.kill(os.getpid(), signal.SIGTERM)
-            os.kill(os.getpid(), again)
-            done.append(1)
-        raise toy.command.Stopped("after a step")
-
-    toy.act = act
-    assert run(toy) in (130, 143)
-    assert len(done) == steps
-    assert only_line(capsys).startswith("stopped after" if steps else "ended at once")
-
-
-def test_writing_a_file_is_not_disturbed(toy, capsys):
-    done = []
-
-    def act(cfg):
-        with toy.command.undisturbed():
-            os.kill(os.getpid(), signal.SIGTERM)
-            done.append("written")
-        pytest.fail("it goes on")
-
-    toy.act = act
-    assert run(toy) == 143
-    assert done == ["written"]
-    assert only_line(capsys).startswith("ended at once; ")
-
-
-def test_a_request_of_the_last_command_is_forgotten(toy):
-    def act(cfg):
-        os.kill(os.getpid(), signal.SIGINT)
-
-    toy.act = act
-    assert run(toy) == 130
-    counted = []
-    toy.act = lambda cfg: counted.extend(toy.command.until_stopped(range(cfg.steps)))
-    assert run(toy) == 0
-    assert counted == [0, 1, 2]
 
 
 # --- what it prints
