@@ -16,7 +16,6 @@ Examples::
 
 from __future__ import annotations
 
-import argparse
 import functools
 import itertools
 import multiprocessing
@@ -35,6 +34,8 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollector
 from torchrl.envs import EnvBase, RewardScaling
 
+from recipes.arguments import Parser
+from recipes.outputs import choose_file
 from recipes.training import checkpoint, off_policy, task
 from torchrl_morl.deploy import save_reward_model
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
@@ -176,16 +177,22 @@ def row(name: str, measured: list[float], reference: list[float]) -> str:
 
 def main(arguments: list[str] | None = None, *, num_envs: int = 512, steps: int = 64) -> None:
     """Measure; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(prog="collecting", description=__doc__)
     parser.add_argument("--rounds", type=int, default=2, help="of all trainings")
     parser.add_argument("--frames", type=int, default=14_400, help="of each training of PD-MORL")
     parser.add_argument("--batches", type=int, default=4, help="of each training of MO-PPO")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="of the updates")
-    parser.add_argument("--output", type=Path, default=Path("runs/benchmarks/collecting.md"))
+    parser.add_argument(
+        "--output",
+        type=Path,
+        help="new file (default: runs/benchmarks/collecting.md, else one with a number)",
+    )
     parser.add_argument("overrides", nargs="*", help="of recipes/pd_morl/config.yaml")
     args = parser.parse_args(arguments)
+    try:
+        output = choose_file(args.output, Path("runs/benchmarks/collecting.md"))
+    except ValueError as error:
+        parser.error(str(error))
     if min(args.rounds, args.batches, *args.threads) < 1:
         parser.error("--rounds, --batches and --threads must be at least 1.")
     batch = config(*args.overrides).collector.frames_per_batch
@@ -218,8 +225,8 @@ def main(arguments: list[str] | None = None, *, num_envs: int = 512, steps: int 
         lines += [row(name, values, first) for name, values in measured.items()]
     text = "\n".join(lines) + "\n\n" + machine()
     print(text)
-    args.output.parent.mkdir(parents=True, exist_ok=True)
-    args.output.write_text(text + "\n")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(text + "\n")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ Examples::
 
 from __future__ import annotations
 
-import argparse
 import csv
 import math
 import os
@@ -24,6 +23,9 @@ from typing import NamedTuple
 
 import torch
 import tqdm
+
+from recipes.arguments import Parser, count, positive, positive_int
+from recipes.outputs import choose_file
 
 from .environment_variants import OURS, PARALLEL, SERIAL, VARIANTS, Loop, navigation_env
 
@@ -183,23 +185,34 @@ def plan(
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(prog="environment", description=__doc__)
     parser.add_argument("--sizes", type=int, nargs="+", default=[1, 16, 64, 256, 1024], metavar="N")
     parser.add_argument("--repetitions", type=int, default=5, help="rounds over all cases")
-    parser.add_argument("--seconds", type=float, default=1.0, help="of each measurement")
-    parser.add_argument("--serial-max", type=int, default=64, help="largest SerialEnv")
-    parser.add_argument("--parallel-max", type=int, default=16, help="largest ParallelEnv")
+    parser.add_argument("--seconds", type=positive, default=1.0, help="of each measurement")
+    parser.add_argument("--serial-max", type=count(0), default=64, help="largest SerialEnv")
+    parser.add_argument("--parallel-max", type=count(0), default=16, help="largest ParallelEnv")
     parser.add_argument(
-        "--num-threads", type=int, default=0, help="of NavigationEnv's physics (default: every CPU)"
+        "--num-threads",
+        type=count(0),
+        default=0,
+        help="of NavigationEnv's physics (default: every CPU)",
     )
     parser.add_argument(
         "--clock", choices=CLOCKS, default="wall", help="cpu: seconds on a processor"
     )
-    parser.add_argument("--torch-threads", type=int, default=1, help="of PyTorch, in all variants")
-    parser.add_argument("--output", type=Path, default=Path("runs/benchmarks/environment.csv"))
+    parser.add_argument(
+        "--torch-threads", type=positive_int, default=1, help="of PyTorch, in all variants"
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        help="new file (default: runs/benchmarks/environment.csv, else one with a number)",
+    )
     args = parser.parse_args(arguments)
+    try:
+        output = choose_file(args.output, Path("runs/benchmarks/environment.csv"))
+    except ValueError as error:
+        parser.error(str(error))
     if min(args.sizes) < 1 or args.repetitions < 1:
         parser.error("--sizes and --repetitions must be at least 1.")
 
@@ -221,8 +234,8 @@ def main(arguments: list[str] | None = None) -> None:
     )
     info = {**machine(args.num_threads), "load": load, "clock": args.clock}
     print(report(rates, skipped, info, args.repetitions))
-    write_csv(args.output, rates, info)
-    print(f"every measurement: {args.output}")
+    write_csv(output, rates, info)
+    print(f"every measurement: {output}")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ Examples::
 
 from __future__ import annotations
 
-import argparse
 import csv
 import math
 import multiprocessing
@@ -22,6 +21,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import tqdm
+
+from recipes.arguments import Parser, number, positive_int
+from recipes.outputs import choose_file
 
 from .growth_cases import CASES, CLOCKS, Cost, Options, measure
 from .learner import machine
@@ -161,9 +163,7 @@ def write_csv(path: Path, costs: Costs) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(prog="growth", description=__doc__)
     parser.add_argument("--grows", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--sizes", type=int, nargs="+", help="instead of those of the table")
     parser.add_argument(
@@ -173,11 +173,23 @@ def main(arguments: list[str] | None = None) -> None:
         help="cpu: seconds of the process, on a machine that does other work too",
     )
     defaults = Options()
-    parser.add_argument("--seconds", type=float, default=defaults.seconds, help="of a measurement")
-    parser.add_argument("--scenes", type=int, default=defaults.scenes, help="of the sweep")
-    parser.add_argument("--steps", type=int, default=defaults.steps, help="of the sweep's episodes")
-    parser.add_argument("--output", type=Path, default=Path("runs/benchmarks/growth.csv"))
+    parser.add_argument(
+        "--seconds", type=number(0), default=defaults.seconds, help="of a measurement"
+    )
+    parser.add_argument("--scenes", type=positive_int, default=defaults.scenes, help="of the sweep")
+    parser.add_argument(
+        "--steps", type=positive_int, default=defaults.steps, help="of the sweep's episodes"
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        help="new file (default: runs/benchmarks/growth.csv, else one with a number)",
+    )
     args = parser.parse_args(arguments)
+    try:
+        output = choose_file(args.output, Path("runs/benchmarks/growth.csv"))
+    except ValueError as error:
+        parser.error(str(error))
     if args.sizes and (len(args.grows) > 1 or min(args.sizes) < 1):
         parser.error("--sizes are positive, and those of one --grows.")
 
@@ -188,8 +200,8 @@ def main(arguments: list[str] | None = None) -> None:
     print(table(costs, memory))
     print(f"\nclock: {args.clock}; sweep: {args.scenes} scenes, at most {args.steps} steps")
     print(f"{machine()}, {memory / 1e9:.0f} GB")
-    write_csv(args.output, costs)
-    print(f"every measurement: {args.output}")
+    write_csv(output, costs)
+    print(f"every measurement: {output}")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ Examples::
 
 from __future__ import annotations
 
-import argparse
 import csv
 import importlib.util
 import logging
@@ -27,6 +26,9 @@ from pathlib import Path
 import torch
 import torchrl
 import tqdm
+
+from recipes.arguments import Parser
+from recipes.outputs import choose_file
 
 from .floor import MatrixRate, flops
 from .learner_base import Learner
@@ -226,9 +228,7 @@ def write_csv(path: Path, rates: Rates) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(prog="learner", description=__doc__)
     parser.add_argument("--systems", nargs="+", default=list(SYSTEMS), metavar="NAME")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], metavar="N")
     parser.add_argument("--rounds", type=int, default=30, help="turns of each system")
@@ -240,8 +240,16 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--size", type=int, default=100_000, help="of the replay buffers")
     parser.add_argument("--no-compile", action="store_true", help="everything eager")
-    parser.add_argument("--output", type=Path, default=Path("runs/benchmarks/learner.csv"))
+    parser.add_argument(
+        "--output",
+        type=Path,
+        help="new file (default: runs/benchmarks/learner.csv, else one with a number)",
+    )
     args = parser.parse_args(arguments)
+    try:
+        output = choose_file(args.output, Path("runs/benchmarks/learner.csv"))
+    except ValueError as error:
+        parser.error(str(error))
     if unknown := set(args.systems) - set(SYSTEMS):
         parser.error(f"unknown systems {sorted(unknown)}; there are {list(SYSTEMS)}.")
     if min(*args.threads, args.rounds) < 1 or args.size < 1000:
@@ -264,8 +272,8 @@ def main(arguments: list[str] | None = None) -> None:
     if not rates:
         raise SystemExit("interrupted before the first round was complete.")
     print(report(rates, spent, operations, missing), f"clock: {args.clock}", sep="\n")
-    write_csv(args.output, rates)
-    print(f"every measurement: {args.output}")
+    write_csv(output, rates)
+    print(f"every measurement: {output}")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ native scan of 720 beams.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 from collections.abc import Callable
@@ -25,6 +24,8 @@ from envs.lidar import MIN_RANGE, Lidar
 from envs.robots import Robot, get_robot
 from envs.scene_files import get_scene
 from envs.scenes import HUMAN_RADIUS, Scene
+from recipes.arguments import Parser, episodes
+from recipes.evaluation.setting import scene_seed
 from recipes.evaluation.sweep import SHIPPED_POLICY
 from torchrl_morl.deploy import LidarGeometry, Policy, PolicyRunner, load_policy
 
@@ -247,19 +248,25 @@ def row(case: Case, parts: list[dict], same: bool) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(prog="lidars", description=__doc__)
     parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
-    parser.add_argument("--episodes", type=int, default=100, help="scenes for each preference")
-    parser.add_argument("--seed", type=int, default=7, help="of the scenes")
+    parser.add_argument("--episodes", type=episodes, default=100, help="scenes for each preference")
+    parser.add_argument("--seed", type=scene_seed, default=7, help="of the scenes")
     parser.add_argument("--only", nargs="+", help="rows whose name holds one of these words")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    policy = load_policy(args.policy)
+    cases = [case for case in CASES if not args.only or any(w in case.name for w in args.only)]
+    if not cases:
+        names = ", ".join(case.name for case in CASES)
+        parser.error(f"--only {' '.join(args.only)}: no row is called so; there are {names}.")
+    try:
+        policy = load_policy(args.policy)
+        if policy.sensing is None:
+            raise ValueError(f"{args.policy} does not tell what it senses.")
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
     space = policy.preference_space
     preferences = [*space.corners().numpy(), np.full(space.num_tunable, 1 / space.num_tunable)]
-    cases = [case for case in CASES if not args.only or any(w in case.name for w in args.only)]
     lines = [
         "| lidar, or what is given | success | collisions | time | largest difference of a command |",
         "|---|---|---|---|---|",

@@ -30,6 +30,7 @@ import tqdm
 from matplotlib import pyplot
 from torchrl.collectors import Collector
 
+from recipes.arguments import Parser
 from recipes.training import off_policy
 from recipes.training.corners import CornerResult, evaluate_corners
 from recipes.training.task import make_task
@@ -252,9 +253,7 @@ def plot(runs: Runs, path: Path, clock: str = "wall") -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Train or report; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Parser(prog="time_to_quality", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     train = commands.add_parser("train", help="one system, one seed")
     train.add_argument("system", choices=[OURS, *PEERS])

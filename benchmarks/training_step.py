@@ -12,7 +12,6 @@ Examples::
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import functools
 import tempfile
@@ -29,6 +28,8 @@ from torchrl.data import TensorDictReplayBuffer
 from torchrl.objectives import SoftUpdate
 
 from envs import NavigationEnv
+from recipes.arguments import Parser, positive_int
+from recipes.outputs import choose_file
 from recipes.training import gradients, logs, off_policy, optimizers
 from recipes.training.checkpoint import Checkpoints
 
@@ -194,13 +195,15 @@ def summary(watch: Watch, frames: int) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Measure; ``--help`` lists the options."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    parser = Parser(prog="training_step", description=__doc__)
+    parser.add_argument(
+        "--frames", type=positive_int, help="environment steps (default: evaluation.interval)"
     )
     parser.add_argument(
-        "--frames", type=int, help="environment steps (default: evaluation.interval)"
+        "--output",
+        type=Path,
+        help="new file (default: runs/benchmarks/training_step.md, else one with a number)",
     )
-    parser.add_argument("--output", type=Path, default=Path("runs/benchmarks/training_step.md"))
     parser.add_argument(
         "--clock",
         choices=CLOCKS,
@@ -209,6 +212,10 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("overrides", nargs="*", help="of recipes/pd_morl/config.yaml")
     args = parser.parse_args(arguments)
+    try:
+        output = choose_file(args.output, Path("runs/benchmarks/training_step.md"))
+    except ValueError as error:
+        parser.error(str(error))
     shipped = config()
     frames = args.frames or shipped.evaluation.interval
     batch = shipped.collector.frames_per_batch
@@ -221,8 +228,8 @@ def main(arguments: list[str] | None = None) -> None:
     watch = profile(overrides, args.clock)
     text = "\n\n".join((table(watch), summary(watch, frames), machine(), f"clock: {args.clock}"))
     print(text)
-    args.output.parent.mkdir(parents=True, exist_ok=True)
-    args.output.write_text(text + "\n")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(text + "\n")
 
 
 if __name__ == "__main__":

@@ -18,6 +18,24 @@ def check_new_file(path: Path) -> None:
     check_writable(path.parent, path)
 
 
+def choose_file(path: Path | None, default: Path) -> Path:
+    """Where a file can be made.
+
+    Args:
+        path: where the user wants it.
+        default: without such a wish, with ``-2``, ``-3`` and so on at its end if it exists.
+
+    Raises:
+        ValueError: for a ``path`` that exists, or a folder that cannot be written.
+    """
+    if path is None:
+        numbered = (default.with_stem(f"{default.stem}-{n}") for n in itertools.count(2))
+        names = itertools.chain([default], numbered)
+        path = next(one for one in names if not (one.exists() or one.is_symlink()))
+    check_new_file(path)
+    return path
+
+
 def claim_folder(path: Path | None, default: Path) -> Path:
     """Make the folder for the output, which is empty.
 

@@ -235,7 +235,12 @@ class _Command:
     def _check(self, *, multirun: bool) -> None:
         """Check everything that will run, then claim or check its folder."""
         with _composing(self.folder):
-            for overrides in jobs(self.overrides) if multirun else [self.overrides]:
+            runs = list(jobs(self.overrides)) if multirun else [self.overrides]
+            if not runs:
+                raise ConfigurationError(
+                    f"--multirun {' '.join(self.overrides)}: that is no run at all."
+                )
+            for overrides in runs:
                 cfg = compose(self.config_name, [*_QUIET, *overrides], return_hydra_config=True)
                 config = OmegaConf.masked_copy(cfg, [name for name in cfg if name != "hydra"])
                 validate(self.schema, OmegaConf.to_container(config, resolve=True))

@@ -9,15 +9,33 @@ from collections.abc import Iterator
 from typing import Any
 from unittest import mock
 
+# What tensordict says while PyTorch compiles, to its own developers: that it reads a setting of PyTorch
+# which does nothing any more, and that it locks a tensordict in a graph, where nothing unlocks it.
+_AMONG_LIBRARIES = (
+    r"torch\._dynamo\.config\.inline_inbuilt_nn_modules is deprecated",
+    r"Using lock_\(\) inside a compiled graph",
+)
+
 
 @contextlib.contextmanager
 def plain_warnings(*, keep: bool) -> Iterator[None]:
-    """Warnings without the line of a library that they come from, but for those who ask for it."""
+    """Warnings without the line of a library that they come from, but for those who ask for it.
+
+    What libraries warn each other of is left out.
+    """
 
     def plain(message: Warning | str, *_: Any) -> str:
         return f"warning: {' '.join(str(message).split())}\n"
 
-    with mock.patch.object(warnings, "formatwarning", warnings.formatwarning if keep else plain):
+    if keep:
+        yield
+        return
+    with (
+        warnings.catch_warnings(),
+        mock.patch.object(warnings, "formatwarning", plain),
+    ):
+        for message in _AMONG_LIBRARIES:
+            warnings.filterwarnings("ignore", message)
         yield
 
 

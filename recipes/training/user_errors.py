@@ -58,7 +58,7 @@ def error_line(
 def _holds_more_than_hydra(run_dir: Path) -> bool:
     try:
         return any(entry.name != ".hydra" for entry in run_dir.iterdir())
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return False
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .arrays import as_flags, as_numbers
+from .arrays import as_flags, as_points
 
 __all__ = ["discrete_frechet", "resample_path"]
 
@@ -43,7 +43,7 @@ def discrete_frechet(path_a: Tensor, mask_a: Tensor, path_b: Tensor, mask_b: Ten
         tensor(2.)
 
     """
-    path_a, path_b = as_numbers(path_a), as_numbers(path_b)
+    path_a, path_b = as_points("path_a", path_a), as_points("path_b", path_b)
     batch = torch.broadcast_shapes(path_a.shape[:-2], path_b.shape[:-2])
     path_a, num_a = _compact(path_a, mask_a)
     path_b, num_b = _compact(path_b, mask_b)
@@ -120,7 +120,7 @@ def _compact(position: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns the points ``[*B, T, 2]`` and their number ``[*B]``.
     """
-    position, mask = as_numbers(position), as_flags(mask)
+    position, mask = as_points("position", position), as_flags(mask)
     count = mask.sum(-1)
     order = mask.long().argsort(dim=-1, descending=True, stable=True)
     slot = torch.arange(mask.shape[-1], device=mask.device).expand(mask.shape)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .arrays import as_flags, as_numbers
+from .arrays import as_flags, as_numbers, as_points, check_period
 
 __all__ = ["path_length", "spl", "stl", "time_to_goal"]
 
@@ -33,7 +33,7 @@ def path_length(position: Tensor, mask: Tensor) -> Tensor:
         >>> path_length(position, torch.tensor([True, True, True]))
         tensor(6.)
     """
-    position, mask = as_numbers(position), as_flags(mask)
+    position, mask = as_points("position", position), as_flags(mask)
     step = (position[..., 1:, :] - position[..., :-1, :]).norm(dim=-1)
     length = step.masked_fill(~mask[..., 1:], 0.0).sum(-1)  # padding may be NaN
     return length.masked_fill(~mask.any(-1), torch.nan)
@@ -57,6 +57,7 @@ def time_to_goal(success: Tensor, mask: Tensor, dt: float) -> Tensor:
         >>> time_to_goal(success, mask, dt=0.5)
         tensor([1., nan])
     """
+    check_period(dt)
     success, mask = as_flags(success), as_flags(mask)
     time = (mask.sum(-1) - 1) * dt
     return time.masked_fill(~(success & mask.any(-1)), torch.nan)
@@ -119,6 +120,7 @@ def stl(success: Tensor, mask: Tensor, dt: float, reference: Tensor) -> Tensor:
         >>> stl(torch.tensor([True, False]), mask, dt=0.5, reference=torch.tensor([4.0, 4.0]))
         tensor([0.8000, 0.0000])
     """
+    check_period(dt)
     mask = as_flags(mask)
     time = (mask.sum(-1) - 1) * dt
     return _weighted(success, time.masked_fill(~mask.any(-1), torch.nan), reference, "reference")

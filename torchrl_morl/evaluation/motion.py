@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchrl_morl.geometry import wrap_angle
 
-from .arrays import as_flags, as_numbers
+from .arrays import as_flags, as_numbers, as_points, check_lengths, check_period
 from .metrics import path_length
 
 __all__ = ["cumulative_heading_change", "mean_jerk", "path_irregularity", "stalled_time"]
@@ -38,7 +38,9 @@ def stalled_time(position: Tensor, mask: Tensor, dt: float, threshold: float = 0
         >>> stalled_time(position, torch.ones(4).bool(), dt=0.2)
         tensor(0.4000)
     """
-    position = as_numbers(position)
+    check_period(dt)
+    check_lengths(threshold=threshold)
+    position = as_points("position", position)
     speed = position.diff(dim=-2).norm(dim=-1) / dt
     stands = (speed < threshold).to(speed.dtype).masked_fill(speed.isnan(), torch.nan)
     return dt * _total(stands, mask)
@@ -67,7 +69,8 @@ def mean_jerk(position: Tensor, mask: Tensor, dt: float) -> Tensor:
         >>> mean_jerk(position, torch.ones(6).bool(), dt=1.0)
         tensor(6.)
     """
-    position, mask = as_numbers(position), as_flags(mask)
+    check_period(dt)
+    position, mask = as_points("position", position), as_flags(mask)
     jerk = position.diff(n=3, dim=-2).norm(dim=-1) / dt**3
     counts = mask[..., 3:] & mask[..., 2:-1] & mask[..., 1:-2] & mask[..., :-3]
     return jerk.masked_fill(~counts, 0.0).sum(-1) / counts.sum(-1)
@@ -125,7 +128,8 @@ def path_irregularity(position: Tensor, heading: Tensor, mask: Tensor, goal: Ten
         >>> path_irregularity(position, heading, torch.ones(3).bool(), goal).round(decimals=4)
         tensor(0.)
     """
-    position, heading, goal = as_numbers(position), as_numbers(heading), as_numbers(goal)
+    position, goal = as_points("position", position), as_points("goal", goal)
+    heading = as_numbers(heading)
     way = goal - position[..., 0, :]
     bearing = wrap_angle(torch.atan2(way[..., 1], way[..., 0]) - heading[..., 0]).abs()
     needless = (cumulative_heading_change(heading, mask) - bearing).clamp_min(0.0)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchrl_morl.geometry import point_box_distance
 
-from .arrays import as_flags, as_numbers
+from .arrays import as_flags, as_points, check_lengths, check_period
 
 __all__ = [
     "min_clearance",
@@ -41,7 +41,8 @@ def min_human_distance(position: Tensor, human: Tensor, mask: Tensor) -> Tensor:
         >>> min_human_distance(position, human, torch.tensor([True, True, False]))
         tensor(1.4142)
     """
-    distance = (as_numbers(position) - as_numbers(human)).norm(dim=-1)
+    position, human = as_points("position", position), as_points("human", human)
+    distance = (position - human).norm(dim=-1)
     return _smallest(distance, mask)
 
 
@@ -70,6 +71,7 @@ def min_surface_distance(
         >>> min_surface_distance(position, human, torch.ones(2).bool(), 0.2, 0.3)
         tensor(0.5000)
     """
+    check_lengths(radius=radius, human_radius=human_radius)
     nearest = min_human_distance(position, human, mask)
     return (nearest - radius - human_radius).clamp_min(0.0)
 
@@ -99,7 +101,9 @@ def personal_space_compliance(
         >>> personal_space_compliance(position, human, torch.ones(4).bool())
         tensor(0.7500)
     """
-    position, human, mask = as_numbers(position), as_numbers(human), as_flags(mask)
+    check_lengths(threshold=threshold)
+    position, human = as_points("position", position), as_points("human", human)
+    mask = as_flags(mask)
     distance = (position - human).norm(dim=-1)
     kept = (distance >= threshold).to(distance.dtype).masked_fill(distance.isnan(), torch.nan)
     return kept.masked_fill(~mask, 0.0).sum(-1) / mask.sum(-1)
@@ -130,7 +134,9 @@ def space_violations(
         >>> space_violations(position, human, torch.ones(4).bool())
         tensor(2.)
     """
-    position, human, mask = as_numbers(position), as_numbers(human), as_flags(mask)
+    check_lengths(threshold=threshold)
+    position, human = as_points("position", position), as_points("human", human)
+    mask = as_flags(mask)
     distance = (position - human).norm(dim=-1)
     inside = (distance < threshold) & mask
     before = torch.cat((torch.zeros_like(inside[..., :1]), inside[..., :-1]), dim=-1)
@@ -172,7 +178,10 @@ def min_time_to_collision(
         >>> min_time_to_collision(position, human, torch.ones(4).bool(), 0.5, 0.2, 0.3)
         tensor(1.5000)
     """
-    position, human, mask = as_numbers(position), as_numbers(human), as_flags(mask)
+    check_period(dt)
+    check_lengths(radius=radius, human_radius=human_radius)
+    position, human = as_points("position", position), as_points("human", human)
+    mask = as_flags(mask)
     offset = human - position
     gap = offset.square().sum(-1) - (radius + human_radius) ** 2
     velocity = offset.diff(dim=-2) / dt
@@ -211,7 +220,8 @@ def min_clearance(position: Tensor, boxes: Tensor, mask: Tensor, radius: float) 
         >>> min_clearance(position, boxes, torch.ones(3).bool(), radius=0.2)
         tensor(0.5500)
     """
-    position, boxes = as_numbers(position), as_numbers(boxes)
+    check_lengths(radius=radius)
+    position, boxes = as_points("position", position), as_points("boxes", boxes, 5)
     if not boxes.shape[-2]:
         return torch.full_like(position[..., 0, 0], torch.nan)
     distance = point_box_distance(position.unsqueeze(-2), boxes.unsqueeze(-3)).amin(-1)

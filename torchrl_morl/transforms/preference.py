@@ -149,9 +149,14 @@ class PreferenceSampler(_RandomPreferences):
         self.preference_key = unravel_key(preference_key)
         self.reset_key = None if reset_key is None else unravel_key(reset_key)
         self.register_buffer("preferences", None)
-        # Tensors that were valid, with their versions then: handed out last, and last stepped with.
-        self._handed_out: tuple[Tensor, int] | None = None
-        self._stepped: tuple[Tensor, int] | None = None
+        # In a list of its own: to set an attribute of a module takes longer than the check.
+        self._valid: list[tuple[Tensor, int] | None] = [None, None]
+        """Tensors that were valid, with their versions then: handed out last, and last stepped with."""
+
+    def clone(self) -> Transform:
+        clone = super().clone()
+        clone._valid = [None, None]
+        return clone
 
     @classmethod
     def fixed(
@@ -228,13 +233,16 @@ class PreferenceSampler(_RandomPreferences):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         # TorchRL calls this before it steps the environment.
         preference = tensordict.get(self.preference_key, None)
-        if preference is None or torch.compiler.is_compiling() or _is(preference, self._stepped):
+        if preference is None or torch.compiler.is_compiling():
             return tensordict
-        if not _is(preference, self._handed_out):
+        handed_out, stepped_with = self._valid
+        if _is(preference, stepped_with):
+            return tensordict
+        if not _is(preference, handed_out):
             if not is_in_environment(self):
                 return tensordict
             self.preference_space.validate(preference)
-        self._stepped = _now(preference)
+        self._valid[1] = _now(preference)
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -247,7 +255,7 @@ class PreferenceSampler(_RandomPreferences):
         """Set a valid preference, and remember that it is."""
         tensordict.set(self.preference_key, preference)
         if not torch.compiler.is_compiling():
-            self._handed_out = _now(preference)
+            self._valid[0] = _now(preference)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

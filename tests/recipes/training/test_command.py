@@ -264,6 +264,19 @@ def test_what_is_no_folder_of_a_run_is_refused(toy, value, tmp_path, capsys):
     assert not (tmp_path / "runs").exists()
 
 
+def test_a_multirun_of_no_job_says_so(toy, tmp_path, capsys):
+    assert run(toy, "-m", "steps=range(3,1)") == 2
+    assert only_line(capsys) == "error: --multirun steps=range(3,1): that is no run at all."
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_run_folder_below_a_file_is_refused(toy, tmp_path, capsys):
+    (tmp_path / "mine").write_text("mine")
+    assert run(toy, "hydra.run.dir=mine/run") == 2
+    assert "mine" in only_line(capsys)
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
 @pytest.mark.parametrize("given", [[], ["hydra.run.dir=new/deep/er"]])
 def test_a_start_that_its_recipe_refuses_leaves_no_folders(toy, given, tmp_path, capsys):
     def refuse(cfg):
