@@ -16,6 +16,7 @@ TINY = (
     "noise.levels=[0.0,0.2]",
     "noise.rollouts=4",
     "style_negatives.rollouts=24",
+    "tracking.rollouts=4",
     "reward_model.updates=20",
     "reward_model.num_cells=[16]",
     "reward_model.batch_size=8",

@@ -9,6 +9,7 @@ from .drivers import (
 )
 from .feasibility import Tolerances, check
 from .importer import import_demonstrations, replay
+from .path_driver import PathDriver
 from .reading import read_recordings
 from .recordings import Recording
 from .report import ImportReport, NoDriveAcceptedError, Reason
@@ -19,6 +20,7 @@ __all__ = [
     "Driver",
     "ImportReport",
     "NoDriveAcceptedError",
+    "PathDriver",
     "Reason",
     "Recording",
     "StraightDriver",

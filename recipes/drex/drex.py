@@ -19,7 +19,7 @@ from recipes.training.gradients import use_bfloat16
 from recipes.training.logs import time_shares
 from torchrl_morl.data import load_demonstrations, save_demonstrations
 
-from . import ranking, styles
+from . import ranking, styles, tracking
 from .cards import metadata
 from .cloning import clone_behaviour, save_clone
 from .demonstrations import collect_demonstrations, read_demonstrations
@@ -61,10 +61,19 @@ def main(cfg: DictConfig) -> None:
     with timeit("other styles"):
         # The extension to D-REX: other ways to drive rank below the demonstrations.
         others = styles.other_styles(cfg, recorded) if cfg.style_negatives.rollouts else []
+    with timeit("tracking"):
+        # And to its noise: a learner disturbs whatever it drives.
+        wanted = cfg.tracking.rollouts > 0
+        tracked = tracking.tracked(cfg, recorded) if wanted else None
+        bulging = tracking.bulging(cfg, recorded) if wanted else None
     with timeit("reward model"):
-        snippets = ranking.ranked_snippets(cfg, noisy, others)
+        snippets = ranking.ranked_snippets(cfg, noisy, others, tracked, bulging)
         model, scores = ranking.train_reward_model(
-            cfg, snippets, bfloat16=bfloat16, checkpoints=checkpoints / "reward_model"
+            cfg,
+            snippets,
+            [demonstrations] if tracked is None else [demonstrations, tracked],
+            bfloat16=bfloat16,
+            checkpoints=checkpoints / "reward_model",
         )
     with timeit("diagnostics"):
         report = write_report(run_dir, cfg, model, noisy, scores)

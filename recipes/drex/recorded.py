@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from typing import Any
 
 import torch
 from omegaconf import DictConfig
@@ -32,8 +33,20 @@ def distance_from_recorded(
         ``[count]``, metres.
     """
     drives = recorded[torch.arange(count) % len(recorded)]
+    start, arguments = started(cfg, drives)
+    driver = copy.deepcopy(driver)
+    driver.scaled = False
+    return frechet(drives, demonstrated_paths(driver, start, **arguments))
+
+
+def started(cfg: DictConfig, drives: TensorDictBase) -> tuple[TensorDictBase, dict[str, Any]]:
+    """Where recorded drives ``[N, T]`` started, as if without boxes.
+
+    Returns:
+        Snapshots ``[N]`` of a :class:`~envs.NavigationEnv`, and its arguments.
+    """
     arguments = simulated(cfg.env) | {"scene": "empty"}
-    env = NavigationEnv(num_envs=count, **arguments)
+    env = NavigationEnv(num_envs=len(drives), **arguments)
     start = env.state_spec.zero()
     env.close()
     first = drives[:, 0]
@@ -44,6 +57,4 @@ def distance_from_recorded(
     start["qpos"], start["human_pose"] = pose, first["human_pose"].to(start["human_pose"])
     start["scene", "goal"] = pose[:, :2] + distance.unsqueeze(-1) * ahead
     start["scene", "human_goal"] = start["scene", "goal"].clone()
-    driver = copy.deepcopy(driver)
-    driver.scaled = False
-    return frechet(drives, demonstrated_paths(driver, start, **arguments))
+    return start, arguments

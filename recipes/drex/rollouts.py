@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
 from torchrl.data import Bounded
+from torchrl.envs import ExcludeTransform
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from envs.metrics import trajectories
@@ -42,13 +43,36 @@ def rollouts(
     *,
     random: bool = False,
     max_steps: int = 300,
+    start: TensorDictBase | None = None,
     **env_kwargs: Any,
 ) -> TensorDictBase:
-    """``count`` first episodes ``[N, T]`` of a policy with ``mask``, in one batch."""
-    env = make_policy_env(num_envs=count, seed=training_seed(seed), **env_kwargs)
+    """``count`` first episodes ``[N, T]`` of a policy with ``mask``, in one batch.
+
+    From ``start``, snapshots ``[N]`` of a :class:`~envs.NavigationEnv`, instead of scenes of the seed.
+    """
+    env = make_policy_env(
+        num_envs=count,
+        seed=training_seed(seed),
+        keep_simulation=start is not None,
+        **env_kwargs,
+    )
+    if start is None:
+        begun = env.reset()
+    else:
+        # Without the scans, which are many times what is kept.
+        env = env.append_transform(ExcludeTransform("scan", "lidar"))
+        state = start.select(*env.base_env.state_spec.keys(True, True))
+        begun = env.reset(state.clone(), set_state=True)
     exploration = ExplorationType.RANDOM if random else ExplorationType.DETERMINISTIC
     with set_exploration_type(exploration):
-        data = env.rollout(max_steps, policy, break_when_any_done=False, break_when_all_done=True)
+        data = env.rollout(
+            max_steps,
+            policy,
+            auto_reset=False,
+            tensordict=begun,
+            break_when_any_done=False,
+            break_when_all_done=True,
+        )
     env.close()
     data.set("mask", episode_mask(data["next", "done"]))
     return data.select(*_KEPT, "mask", *(("next", key) for key in _KEPT_NEXT))

@@ -106,6 +106,29 @@ class StyleNegatives(Section):
         return self
 
 
+class Tracking(Section):
+    """Drives along the demonstrated paths, and beside them, under the noise of a learner."""
+
+    rollouts: CountOrNone = Field(
+        description="Drives along the paths, and as many beside them; 0 is plain D-REX, else at least 2."
+    )
+    noise: Annotated[list[NotNegative], Field(min_length=2, max_length=2)] = Field(
+        description="Standard deviation of the most noise on speed and turn rate, of actions in [-1, 1]."
+    )
+    heights: Range = Field(
+        description="Range of how far a path beside them is pushed away, metres."
+    )
+    widths: Range = Field(description="Range of how long that is, standard deviations, metres.")
+
+    @model_validator(mode="after")
+    def _has_some_to_hold_out(self) -> Tracking:
+        if self.rollouts == 1:
+            raise ValueError(
+                "tracking.rollouts must be 0 or at least 2, one to train on and one to hold out, got 1."
+            )
+        return self
+
+
 class RewardModel(Section):
     """R."""
 
@@ -125,10 +148,19 @@ class RewardModel(Section):
     )
     batch_size: int = Field(ge=2, le=100_000, description="Pairs of an update.")
     updates: Count = Field(description="Updates of R.")
-    lr: Positive = Field(description="Learning rate of AdamW.")
+    lr: Positive = Field(description="Learning rate of AdamW at the start.")
+    final_lr_ratio: Share = Field(
+        description="Learning rate at the end as a share of that at the start; a cosine between."
+    )
     weight_decay: NotNegative = Field(description="Weight decay of AdamW.")
     label_smoothing: float = Field(
         ge=0, lt=1, description="How much of a label is given to the other side."
+    )
+    demonstration_coeff: NotNegative = Field(
+        description="How much it costs that R of a demonstrated step is not 1; 0 is plain D-REX."
+    )
+    action_noise: NotNegative = Field(
+        description="Standard deviation of the most noise on the actions that R reads while it learns."
     )
     held_out: PartialShare = Field(description="Share of the rollouts that check R.")
 
@@ -155,6 +187,7 @@ class Config(Section):
     cloning: Cloning
     noise: Noise
     style_negatives: StyleNegatives
+    tracking: Tracking
     reward_model: RewardModel
     diagnostics: Diagnostics
 

@@ -1,11 +1,9 @@
-"""MO-PPO: polish a preference-conditioned policy on its own episodes, all preferences at once.
+"""MO-PPO: one policy for all preferences, learned on its own episodes, from nothing or from a policy.
 
 PPO (https://arxiv.org/abs/1707.06347) whose critic has one value per objective; the advantages are
 weighed by the preference of their episode. Run it with ``python -m recipes.mo_ppo.mo_ppo
-policy=FOLDER``; every field of ``config.yaml`` can be overridden on the command line.
-
-It follows PD-MORL: critics of TD3 cannot tell actions apart that differ by hundredths of a percent,
-which PPO can by averaging over thousands of episodes.
+policy=FOLDER``, or with ``preset=nothing``; every field of ``config.yaml`` can be overridden on the
+command line.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import RewardScaling
 
 from recipes.training import command
-from recipes.training.agent import make_averaged
+from recipes.training.agent import make_actor, make_averaged
 from recipes.training.checkpoint import Checkpoints, CollectorState, Counters, check_frames_left
 from recipes.training.corners import evaluate_corners
 from recipes.training.logs import (
@@ -40,22 +38,32 @@ from torchrl_morl.deploy import load_policy
 
 from . import penalties
 from .batches import BATCH, failing, failure_rate, make_replay_buffer
+from .cloning import clone
 from .networks import ENVS_AT_ONCE, make_advantage, make_critic, make_loss, make_policy
-from .optimizers import make_optimizers, make_schedule
+from .optimizers import make_optimizers, make_schedule, noise
 from .schema import Config
 from .start import check_start, complete
 
 
 @command.recipe("config", Config)
 def main(cfg: DictConfig) -> None:
-    """Polish a policy, evaluate it on the way, and save what is evaluated."""
-    loaded = load_policy(cfg.policy, device=cfg.device, check_preferences=False)
-    cfg = complete(cfg, loaded.card)
+    """Train a policy, evaluate it on the way, and save what is evaluated."""
+    loaded = None
+    if cfg.policy is not None:
+        loaded = load_policy(cfg.policy, device=cfg.device, check_preferences=False)
+    cfg = complete(cfg, {} if loaded is None else loaded.card)
     task = make_task(cfg)
-    check_start(cfg, task, loaded.actor, loaded.preference_space)
+    if loaded is None:
+        actor, facts = make_actor(cfg, task), {}
+        if cfg.resume is None:
+            clone(cfg, task, actor)
+    else:
+        check_start(cfg, task, loaded.actor, loaded.preference_space)
+        actor = copy.deepcopy(loaded.actor).requires_grad_(True)
+        # How the policy was trained that it started as.
+        facts = {name: loaded.card[name] for name in ("config", "start") if name in loaded.card}
 
     # The policy is noise around the actor; the noise is all that PPO adds to it.
-    actor = copy.deepcopy(loaded.actor).requires_grad_(True)
     sigma = torch.tensor(list(cfg.collector.exploration_sigma), device=task.device)
     noisy, policy = make_policy(actor, sigma)
     critic = make_critic(cfg, task)
@@ -68,6 +76,9 @@ def main(cfg: DictConfig) -> None:
     env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
     tunable = task.preference_space.tunable
     demo = tunable.index("demo") if "demo" in tunable else None
+    anchored = demo is not None and cfg.loss.anchor_coeff > 0
+    # What it started as: the anchor holds it where the style is preferred.
+    start = copy.deepcopy(actor).requires_grad_(False) if anchored else None
 
     collector = Collector(
         env,
@@ -88,6 +99,7 @@ def main(cfg: DictConfig) -> None:
         **optimizers,
         collector=CollectorState(collector, policy),
         count=count,
+        **({} if start is None else {"start": start}),
     )
     if cfg.resume is not None:
         checkpoints.load()
@@ -112,15 +124,13 @@ def main(cfg: DictConfig) -> None:
         # Advantages of every objective, weighed by the preference of the episode.
         with timeit("advantage"):
             advantage(data)
-            parts = data.select(*loaded.actor.in_keys).split(ENVS_AT_ONCE)
-            data["start_action"] = penalties.average_over_time(
-                torch.cat([loaded.actor(part)["action"] for part in parts]),
-                data["collector", "traj_ids"],
-                window=cfg.loss.anchor_window,
-            )
+            if start is not None:
+                data["start_action"] = penalties.start_action(
+                    cfg, start, data, envs_at_once=ENVS_AT_ONCE
+                )
             data["fails"] = failing(data)
         replay_buffer.empty()
-        replay_buffer.extend(data.reshape(-1).select(*BATCH))
+        replay_buffer.extend(data.reshape(-1).select(*BATCH, strict=False))
 
         metrics = {}
         for _ in range(cfg.optim.epochs if trains_actor else cfg.optim.critic_epochs):
@@ -133,7 +143,9 @@ def main(cfg: DictConfig) -> None:
                         # Penalties are smooth: a part of the batch, which is shuffled, will do.
                         part = batch[: cfg.optim.penalty_batch_size]
                         with precision:
-                            costs = penalties.compute(cfg, part, actor, sigma=sigma, demo=demo)
+                            costs = penalties.compute(
+                                cfg, part, actor, sigma=sigma, demo=demo if anchored else None
+                            )
                         loss_actor = losses["loss_objective"]
                         for name, cost in costs.items():
                             loss_actor = loss_actor + cfg.loss[f"{name}_coeff"] * cost
@@ -143,6 +155,8 @@ def main(cfg: DictConfig) -> None:
                 metrics |= losses
         if trains_actor:
             schedule.step()
+        # Constant within a batch: likelihoods are compared under the noise that it was collected with.
+        sigma.copy_(noise(cfg, frames))
         metrics["failed"] = failure_rate(data)
         logged = {f"train/{name}": value.detach().mean() for name, value in metrics.items()}
         log_metrics(loggers, logged, frames)
@@ -158,10 +172,7 @@ def main(cfg: DictConfig) -> None:
                 averaged.module,
                 task,
                 result,
-                # How the policy was trained that it started as.
-                start={
-                    name: loaded.card[name] for name in ("config", "start") if name in loaded.card
-                },
+                **({"start": facts} if facts else {}),
             )
             trajectories_picture(
                 task.run_dir / "pictures" / f"{frames:09d}.png",

@@ -1,4 +1,4 @@
-"""Optimizers and the schedule of the learning rate."""
+"""Optimizers, and the schedules of the learning rate and of the noise."""
 
 from __future__ import annotations
 
@@ -41,3 +41,13 @@ def make_schedule(
     return torch.optim.lr_scheduler.LambdaLR(
         optimizer, lambda step: 1 - 0.95 * min(1.0, step / updates), last_epoch=done - 1
     )
+
+
+def noise(cfg: DictConfig, frames: int) -> torch.Tensor:
+    """Standard deviations ``[A]`` after so many frames: they fall geometrically to the final ones."""
+    first, last = (
+        torch.tensor(list(sigma))
+        for sigma in (cfg.collector.exploration_sigma, cfg.collector.final_exploration_sigma)
+    )
+    share = min(1.0, frames / cfg.collector.total_frames)
+    return first * (last / first) ** share

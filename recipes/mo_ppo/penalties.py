@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
@@ -41,6 +42,19 @@ def compute(
         radius = cfg.loss.anchor_radius
         found["anchor"] = anchor(batch, action, sigma=sigma, objective=demo, radius=radius)
     return found
+
+
+@torch.no_grad()
+def start_action(
+    cfg: DictConfig, start: TensorDictSequential, data: TensorDictBase, *, envs_at_once: int
+) -> Tensor:
+    """What the policy at the start does in ``data`` ``[E, T]``, averaged over time, ``[E, T, A]``."""
+    parts = data.select(*start.in_keys).split(envs_at_once)
+    return average_over_time(
+        torch.cat([start(part)["action"] for part in parts]),
+        data["collector", "traj_ids"],
+        window=cfg.loss.anchor_window,
+    )
 
 
 def average_over_time(action: Tensor, episode: Tensor, *, window: int) -> Tensor:

@@ -12,6 +12,7 @@ from recipes.training.fields import (
     Count,
     CountOrNone,
     Decay,
+    DemonstrationFile,
     Device,
     Discount,
     Distribution,
@@ -88,8 +89,20 @@ class Demonstrations(Section):
     """What was demonstrated."""
 
     reward_model: RewardModelFolder | None = Field(
-        description="Folder of the reward model that the policy was trained with."
+        description='Folder of a reward model, which adds the objective "demo"; that of the policy.'
     )
+    dataset: DemonstrationFile | None = Field(
+        description="Demonstrations that a training from nothing clones first, where they are wished."
+    )
+
+    @model_validator(mode="after")
+    def _have_an_objective(self) -> Demonstrations:
+        if self.dataset is not None and self.reward_model is None:
+            raise ValueError(
+                f"demonstrations.dataset needs demonstrations.reward_model, got {self.dataset!r} and "
+                'None: without one there is no objective "demo" for them.'
+            )
+        return self
 
 
 class Preference(Section):
@@ -115,6 +128,9 @@ class Collector(Section):
     ] = Field(
         description="Standard deviation of the noise on speed and turn rate, of actions in [-1, 1]."
     )
+    final_exploration_sigma: Annotated[
+        list[float], AfterValidator(_some_noise), Allows("two positive numbers")
+    ] = Field(description="The same at the end; between them it falls geometrically.")
 
 
 class ReplayBuffer(Section):
@@ -164,6 +180,9 @@ class Loss(Section):
 class Optim(Section):
     """How networks are updated."""
 
+    cloning_updates: CountOrNone = Field(
+        description="Updates of behaviour cloning before everything else, of a training from nothing."
+    )
     critic_batches: CountOrNone = Field(
         description="Batches of frames at the start for the critic alone."
     )
@@ -194,7 +213,9 @@ class Evaluation(schema.Evaluation):
 class Config(Section):
     """MO-PPO."""
 
-    policy: PolicyFolder = Field(description="Folder of the policy to start from.")
+    policy: PolicyFolder | None = Field(
+        description="Folder of the policy to start from; null starts from nothing."
+    )
     resume: RunFolder | None = Field(
         description="Folder of a run that did not end; it goes on there, as it was configured."
     )

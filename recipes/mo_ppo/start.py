@@ -11,6 +11,23 @@ from recipes.training.task import Task, check_observation
 from torchrl_morl.deploy import training_config
 from torchrl_morl.preferences import PreferenceSpace
 
+FROM_NOTHING = {
+    "env": {
+        "scene": "exploring",
+        "robot": "turtlebot2",
+        "observe_human": True,
+        "observe_human_velocity": False,
+        "drive": "planar",
+        "goal_radius": 0.3,
+        "max_episode_steps": 300,
+        "objectives": ["core", "distance", "efficiency"],
+        "rewards": {},
+        "faults": {},
+    },
+    "evaluation": {"scene": "static"},
+}
+"""What null means without a policy to start from."""
+
 
 def complete(cfg: DictConfig, card: dict[str, Any]) -> DictConfig:
     """The configuration with what is null in ``env`` and ``evaluation`` taken from the policy's card.
@@ -25,9 +42,12 @@ def complete(cfg: DictConfig, card: dict[str, Any]) -> DictConfig:
         ValueError: if the card does not tell.
     """
     cfg = cfg.copy()
-    evaluation, env = (training_config(card, section) for section in ("evaluation", "env"))
-    if "scene" in evaluation:
-        env["scene"] = evaluation["scene"]
+    if cfg.policy is None:
+        env, evaluation = FROM_NOTHING["env"], FROM_NOTHING["evaluation"]
+    else:
+        evaluation, env = (training_config(card, section) for section in ("evaluation", "env"))
+        if "scene" in evaluation:
+            env["scene"] = evaluation["scene"]
     for part, trained in {"env": env, "evaluation": evaluation}.items():
         given = {name: value for name, value in cfg[part].items() if value is not None}
         known = {name: trained[name] for name in cfg[part] if name in trained}

@@ -48,7 +48,8 @@ NOISE = {DEMONSTRATION: 0.0, CLONE: -0.0, NOISY: -0.1, NOISIER: -0.2}
 def test_styles_are_compared_with_undisturbed_driving_near_the_human():
     noisy = [(quality, group(number)) for number, quality in NOISE.items()]
     others = [group(ORBIT), group(STRAIGHT)]
-    _, source = ranking.ranked_snippets(config(reward_model__near_human=2.0), noisy, others)
+    sources = ranking.ranked_snippets(config(reward_model__near_human=2.0), noisy, others)
+    source = sources["style pairs"]
     pairs = source.sample(500)
     preferred, other = (pairs[key, "observation"][:, 0] for key in ("preferred", "other"))
     assert set(preferred[:, 0].tolist()) == {DEMONSTRATION, CLONE}
@@ -63,7 +64,7 @@ def test_noise_is_compared_with_less_noise_anywhere(others):
     cfg = config(reward_model__snippet_length=20, reward_model__min_gap=0.05)
     sources = ranking.ranked_snippets(cfg, noisy, others)
     assert len(sources) == 1 + bool(others)
-    pairs = sources[0].sample(500)
+    pairs = sources["noise pairs"].sample(500)
     preferred, other = (pairs[key, "observation"][:, 0] for key in ("preferred", "other"))
     combinations = {
         (int(better), int(worse))
@@ -86,7 +87,9 @@ def test_accuracy_on_held_out_pairs_for_every_gap():
     noisy = [(-level, group(number)) for number, level in enumerate(levels)]
     source = RankedSnippets(noisy, length=20, min_gap=0.15, seed=0)
     style = RankedSnippets([(0.0, group(0)), (-1.0, group(1))], length=20, seed=0)
-    scores = ranking.held_out_accuracy(BradleyTerryLoss(network), [source, style])
+    scores = ranking.held_out_accuracy(
+        BradleyTerryLoss(network), {"noise pairs": source, "style pairs": style}
+    )
     assert scores["held_out_accuracy noise pairs"] == pytest.approx(0.8, abs=0.05)
     assert scores["held_out_accuracy style pairs"] == 1.0
     per_gap = scores["held_out_accuracy per noise gap"]
@@ -109,7 +112,7 @@ ENTRIES = {"lidar": slice(0, 30), "goal": slice(30, 33), "human": slice(33, 36)}
 
 
 @pytest.fixture(scope="module")
-def driven() -> tuple[TensorDictBase, list[RankedSnippets]]:
+def driven() -> tuple[TensorDictBase, dict[str, RankedSnippets]]:
     """A few demonstrations and the pairs that follow from them."""
     cfg = config(overrides=TINY)
     demonstrations = collect_demonstrations(cfg)
@@ -118,7 +121,7 @@ def driven() -> tuple[TensorDictBase, list[RankedSnippets]]:
     return demonstrations, ranking.ranked_snippets(cfg, noisy, styles.other_styles(cfg))
 
 
-def distill(cfg: DictConfig, driven: tuple[TensorDictBase, list[RankedSnippets]], folder):
+def distill(cfg: DictConfig, driven: tuple[TensorDictBase, dict[str, RankedSnippets]], folder):
     """Train, save and load."""
     torch.manual_seed(cfg.seed)
     model, scores = ranking.train_reward_model(cfg, driven[1])

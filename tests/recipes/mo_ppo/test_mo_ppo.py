@@ -11,15 +11,17 @@ from pathlib import Path
 import pytest
 import torch
 from omegaconf import OmegaConf
+from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from torchrl.data import Bounded
 
 from envs import NavigationEnv
 from recipes.mo_ppo import mo_ppo
-from recipes.mo_ppo.optimizers import make_schedule
+from recipes.mo_ppo.optimizers import make_schedule, noise
 from recipes.training.checkpoint import SafeStateAdapter
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
+from torchrl_morl.data import save_demonstrations
 from torchrl_morl.deploy import load_policy, save_policy, save_reward_model
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel, make_actor
@@ -68,7 +70,13 @@ def small_policy(folder: Path, preference_space: PreferenceSpace = SPACE) -> Pat
 
 
 def run(folder: Path, policy: Path, *overrides: str) -> Path:
-    run_here(mo_ppo.main, f"policy={policy}", *TINY, *overrides, f"hydra.run.dir={folder}")
+    run_here(
+        mo_ppo.main,
+        f"policy={policy}",
+        *TINY,
+        *overrides,
+        f"hydra.run.dir={folder}",
+    )
     return folder
 
 
@@ -453,3 +461,97 @@ def test_asks_for_what_the_card_does_not_tell(polished, tmp_path):
     folder = run(tmp_path / "again", policy, "env.scene=corridor")
     card = load_policy(folder / "policies" / "000000128").card
     assert card["config"]["evaluation"]["scene"] == "corridor"
+
+
+# --- from nothing
+
+
+def nothing(folder: Path, *overrides: str) -> Path:
+    run_here(mo_ppo.main, "preset=nothing", *TINY, *overrides, f"hydra.run.dir={folder}")
+    return folder
+
+
+def test_learns_without_a_policy(tmp_path):
+    folder = nothing(tmp_path / "run")
+    policy = load_policy(folder / "policies" / "000000128")
+    assert policy.preference_space == SPACE
+    assert "start" not in policy.card
+    # Null is what PD-MORL trains in.
+    config = policy.card["config"]
+    assert (config["env"]["scene"], config["evaluation"]["scene"]) == ("exploring", "static")
+    again = nothing(tmp_path / "again")
+    name = "policies/000000128/policy.safetensors"
+    assert (again / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_goes_on_without_a_policy(tmp_path, demonstrated):
+    """What was cloned is not cloned again: the actor, which waits, is what was saved."""
+    folder = nothing(tmp_path / "run", *demonstrated, "optim.critic_batches=100")
+    go_on(folder, "collector.total_frames=192")
+    names = ["000000128", "000000192"]
+    before, after = (load_policy(folder / "policies" / name).actor.state_dict() for name in names)
+    for name, value in before.items():
+        torch.testing.assert_close(after[name], value, rtol=0, atol=0)
+
+
+@pytest.fixture
+def demonstrated(tmp_path) -> tuple[str, str]:
+    """Options for a style that holds one action everywhere, and a reward model."""
+    torch.manual_seed(0)
+    data = TensorDict(
+        observation=torch.randn(4, 30, OBSERVATION_SIZE),
+        action=torch.tensor([0.5, -0.25]).expand(4, 30, 2).clone(),
+        mask=torch.ones(4, 30, dtype=torch.bool),
+        batch_size=[4, 30],
+    )
+    file = save_demonstrations(tmp_path / "drives.safetensors", data, {})
+    model = RewardModel(in_features=OBSERVATION_SIZE + 2, num_cells=(8,), num_members=1)
+    save_reward_model(tmp_path / "model", model, card={})
+    return (
+        f"demonstrations.reward_model={tmp_path / 'model'}",
+        f"demonstrations.dataset={file}",
+    )
+
+
+def test_clones_demonstrations_first(tmp_path, demonstrated):
+    """The actor waits for the critic: what is saved is the clone."""
+    errors = []
+    for updates in (0, 300):
+        folder = nothing(
+            tmp_path / str(updates),
+            *demonstrated,
+            f"optim.cloning_updates={updates}",
+            "optim.critic_batches=100",
+        )
+        policy = load_policy(folder / "policies" / "000000128")
+        corner = policy.preference_space.corners()[policy.preference_space.tunable.index("demo")]
+        inputs = TensorDict(
+            observation=torch.randn(50, OBSERVATION_SIZE, generator=torch.manual_seed(1)),
+            preference=corner.expand(50, -1),
+            batch_size=[50],
+        )
+        action = policy.actor(inputs)["action"]
+        errors.append((action - torch.tensor([0.5, -0.25])).square().mean().item())
+    assert errors[1] < 0.02 < errors[0]
+
+
+def test_the_noise_falls_geometrically():
+    cfg = OmegaConf.create(
+        {
+            "collector": {
+                "exploration_sigma": [0.2, 0.4],
+                "final_exploration_sigma": [0.05, 0.1],
+                "total_frames": 100,
+            }
+        }
+    )
+    torch.testing.assert_close(noise(cfg, 0), torch.tensor([0.2, 0.4]))
+    torch.testing.assert_close(noise(cfg, 50), torch.tensor([0.1, 0.2]))
+    torch.testing.assert_close(noise(cfg, 100), torch.tensor([0.05, 0.1]))
+    torch.testing.assert_close(noise(cfg, 150), torch.tensor([0.05, 0.1]))
+
+
+def test_refuses_demonstrations_without_their_objective(tmp_path, demonstrated):
+    with pytest.raises(ValueError, match=r"dataset needs demonstrations\.reward_model"):
+        nothing(tmp_path / "run", demonstrated[1])
+    assert not (tmp_path / "run").exists()

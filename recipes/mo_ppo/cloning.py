@@ -1,0 +1,59 @@
+"""A start from demonstrations: behaviour cloning where the style is preferred."""
+
+from __future__ import annotations
+
+import torch
+import tqdm
+from omegaconf import DictConfig
+from tensordict.nn import TensorDictSequential
+
+from recipes.objectives import DEMO
+from recipes.training.task import Task, check_observation
+from torchrl_morl.data import load_demonstrations
+from torchrl_morl.preferences import PreferenceSpace
+
+_BATCH, _LR = 512, 1.0e-3
+
+
+def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
+    """Let an actor imitate the demonstrations, the more the style is preferred; in place.
+
+    The squared error of the action, weighed by the cube of the preference for the style. The rest of
+    the preferences only starts from a policy that drives.
+
+    Args:
+        cfg: nothing happens without ``demonstrations.dataset``.
+        task: with the objective ``demo``.
+        actor: of observation and preference.
+
+    Raises:
+        ValueError: for demonstrations of other observations.
+    """
+    path, updates = cfg.demonstrations.dataset, cfg.optim.cloning_updates
+    if path is None or updates == 0:
+        return
+    data, _ = load_demonstrations(path)
+    check_observation(cfg, path, data["observation"].shape[-1])
+    steps = data.select("observation", "action")[data["mask"]].to(task.device)
+    space: PreferenceSpace = task.preference_space
+    demo = space.tunable.index(DEMO)
+    generator = torch.Generator().manual_seed(cfg.seed)
+    optimizer = torch.optim.Adam(actor.parameters(), lr=_LR)
+    with tqdm.tqdm(total=updates, desc="cloning", unit="update") as progress:
+        for update in range(updates):
+            for group in optimizer.param_groups:
+                group["lr"] = _LR * (1 - update / updates)
+            batch = steps[torch.randint(len(steps), (_BATCH,), generator=generator)]
+            preference = space.sample(
+                _BATCH, distribution=cfg.preference.distribution, generator=generator
+            ).to(task.device)
+            wanted = batch["action"]
+            action = actor(batch.select("observation").set("preference", preference))["action"]
+            error = (action - wanted).square().sum(-1)
+            loss = (preference[..., demo] ** 3 * error).mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            progress.update()
+            if update % 100 == 0:
+                progress.set_postfix(loss=f"{loss.item():.4f}")
