@@ -34,7 +34,7 @@ OFF_POLICY = [
     "optim.updates_per_batch=4",
 ]
 UNCOMPILED = ["compute.compile=false", "compute.bfloat16=false"]
-DREX = [*TINY, "bfloat16=false"]
+DREX = [*TINY, "tracking.rollouts=0", "bfloat16=false"]
 MO_PPO = [
     "compute.torch_threads=1",
     "compute.bfloat16=false",

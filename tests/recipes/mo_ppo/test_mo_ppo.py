@@ -157,7 +157,7 @@ def test_anchor_holds_a_policy_with_demonstrations(tmp_path):
     model = RewardModel(in_features=OBSERVATION_SIZE + 2, num_cells=(8,), num_members=1)
     save_reward_model(tmp_path / "model", model, card={})
     moved = []
-    for coefficient in (0.0, 1e6):
+    for coefficient in (1e-9, 1e6):
         folder = run(
             tmp_path / str(coefficient),
             start,
