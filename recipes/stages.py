@@ -132,12 +132,12 @@ class Record:
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
             record = cls(folder, content["options"], content["stages"], content["finished"])
-            record._check()
+            record.check()
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(f"{path} cannot be read: {error}.") from error
         return record
 
-    def _check(self) -> None:
+    def check(self) -> None:
         """Whether the folder, which somebody else may have made, says nothing but what it may.
 
         Raises:
