@@ -6,6 +6,7 @@ from pathlib import Path
 
 from envs.metrics import episode_metrics
 from envs.policy_env import make_policy_env
+from recipes.arguments import Parser
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import rollout_preferences
 from torchrl_morl.transforms import PreferenceSampler
@@ -35,4 +36,5 @@ def main(episodes: int = 20, seed: int = 7) -> None:
 
 
 if __name__ == "__main__":
+    Parser(description=__doc__).parse_args()  # --help; it takes nothing else
     main()

@@ -3,6 +3,7 @@
 The world here is twelve lines: a unicycle, a person who is a circle, a lidar of 360 beams.
 """
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -52,4 +53,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()  # --help; it takes nothing else
     main()

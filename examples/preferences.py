@@ -4,6 +4,8 @@ An environment of MO-Gymnasium's is a TorchRL environment through ``MOGymEnv``. 
 preference that a policy reads, another what it says about the vector reward.
 """
 
+import argparse
+
 import torch
 from torchrl.envs import Compose, MOGymEnv, TransformedEnv
 
@@ -33,4 +35,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()  # --help; it takes nothing else
     main()

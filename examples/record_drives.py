@@ -4,10 +4,10 @@ On a robot, write the same columns from its odometry and from what sees the huma
 """
 
 import csv
-import sys
 
 from envs import NavigationEnv
 from envs.demonstrations import CircleDemonstrator
+from recipes.arguments import Parser, new_file
 
 COLUMNS = ("trajectory", "time", "x", "y", "heading", "human_x", "human_y", "goal_x", "goal_y")
 
@@ -29,4 +29,10 @@ def main(path: str = "drives.csv", drives: int = 20) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    parser = Parser(description=__doc__)
+    parser.add_argument("file", nargs="?", type=new_file, default="drives.csv", help="to write")
+    file = parser.parse_args().file
+    try:
+        main(str(file))
+    except OSError as error:
+        parser.error(f"{file}: {error.strerror}: choose another file")

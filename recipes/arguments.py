@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -24,6 +25,14 @@ class Parser(argparse.ArgumentParser):
     """
 
     def __init__(self, **kwargs: Any) -> None:
+        # evaluate.py would be two commands.
+        spec = getattr(sys.modules["__main__"], "__spec__", None)
+        if spec is not None and spec.name.partition(".")[0] in (
+            "recipes",
+            "benchmarks",
+            "examples",
+        ):
+            kwargs.setdefault("prog", f"python -m {spec.name.removesuffix('.__main__')}")
         kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         super().__init__(**kwargs)
 

@@ -35,7 +35,14 @@ def parse_preferences(texts: list[str], preference_space: PreferenceSpace) -> Te
     rows = []
     for text in texts:
         try:
-            rows.append(preference_space.validate([float(value) for value in text.split(",")]))
+            weights = [float(value) for value in text.split(",")]
+        except ValueError as error:
+            names = ",".join(preference_space.tunable)
+            raise ValueError(
+                f"--preferences must be numbers, for {names}, with commas between, got {text!r}."
+            ) from error
+        try:
+            rows.append(preference_space.validate(weights))
         except ValueError as error:
             raise ValueError(f"--preferences {text}: {error}") from error
     return torch.stack(rows)
@@ -54,14 +61,15 @@ def main() -> None:
     parser.add_argument("--drive", choices=get_args(Drive), help="default: that of the training")
     parser.add_argument("--episodes", type=episodes, default=100, help="scenes per preference")
     parser.add_argument("--seed", type=scene_seed, default=7, help="of the scenes")
-    parser.add_argument(
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument(
         "--preferences",
         nargs="+",
         metavar="P",
         help="comma-separated weights in the order of the policy's tunable objectives "
         "(default: 11 from the last objective to the one before it)",
     )
-    parser.add_argument(
+    which.add_argument(
         "--grid", action="store_true", help="the test grid of the paper: all edges, 11 steps each"
     )
     parser.add_argument("--range-noise", type=number(0), default=0.0, help="lidar noise, m")

@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import functools
 import tempfile
 from pathlib import Path
-from typing import NoReturn
 
 import torch
 import tqdm
@@ -20,10 +18,7 @@ from envs import get_robot
 from envs.demonstrations import NoDriveAcceptedError, Tolerances, import_demonstrations
 from torchrl_morl.data import save_demonstrations
 
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: error: {message}\n")
+from .arguments import Parser
 
 
 def check_output(path: Path) -> None:
@@ -48,7 +43,7 @@ def check_output(path: Path) -> None:
 
 def main() -> None:
     """Import a file; ``--help`` lists the options."""
-    parser = _Parser(description=__doc__.split("\n\n")[0])
+    parser = Parser(description=__doc__.split("\n\n")[0])
     parser.add_argument("file", type=Path, help="recorded trajectories, .csv or .npz")
     parser.add_argument("--output", type=Path, required=True, help=".safetensors file to write")
     parser.add_argument("--boxes", type=Path, help="boxes around a .csv file's trajectories, .csv")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import dataclasses
 import fcntl
@@ -12,17 +13,23 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from recipes.training.run_folder import write_atomically
+from recipes.outputs import check_writable
+from recipes.training.quoting import is_harmless, is_of_hydra, quoted
+from recipes.training.run_folder import claim, is_over, remove_if_refused, write_atomically
+from recipes.training.stopping import IS_STAGE
 
 _PR_SET_PDEATHSIG = 1
 
 
 def refuse_places(option: str, overrides: Sequence[str]) -> None:
     """Refuse overrides of a stage that say where it runs: the whole has one place.
+
+    Those of Hydra itself are refused as well: it makes objects of whatever class it is told, and
+    what goes on reads the overrides from a folder.
 
     Raises:
         ValueError: in one line.
@@ -32,6 +39,8 @@ def refuse_places(option: str, overrides: Sequence[str]) -> None:
             raise ValueError(
                 f"{option} {one}: the stages run in the folder of --output, leave it out."
             )
+        if is_of_hydra(one):
+            raise ValueError(f"{option} {one}: a stage takes fields of its own, not Hydra's.")
 
 
 def run(name: str, command: Sequence[str]) -> float:
@@ -60,6 +69,7 @@ def run(name: str, command: Sequence[str]) -> float:
         stdin=subprocess.DEVNULL,
         start_new_session=True,
         preexec_fn=end_with_parent,
+        env={**os.environ, IS_STAGE: "1"},
         close_fds=False,  # Python's own files close all the same, but for those of a lock
     )
     asked: list[int] = []
@@ -122,11 +132,44 @@ class Record:
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
             record = cls(folder, content["options"], content["stages"], content["finished"])
-            if not (isinstance(record.options, dict) and isinstance(record.stages, dict)):
-                raise TypeError("its entries are no mappings")
+            record.check()
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(f"{path} cannot be read: {error}.") from error
         return record
+
+    def check(self) -> None:
+        """Whether the folder, which somebody else may have made, says nothing but what it may.
+
+        Raises:
+            TypeError: if not.
+        """
+        if not (isinstance(self.options, dict) and isinstance(self.stages, dict)):
+            raise TypeError("its entries are no mappings")
+        for name, option in self.options.items():
+            for one in option if isinstance(option, list) else ():
+                if not (isinstance(one, str) and is_harmless(one)):
+                    raise TypeError(f"its option {name} holds {one!r}, which no folder may say")
+        for name, stage in self.stages.items():
+            folder = stage.get("folder", "") if isinstance(stage, Mapping) else ""
+            if folder is not None and (not isinstance(folder, str) or Path(folder).name != folder):
+                raise TypeError(f"its stage {name} is not in a folder of its own")
+            if not isinstance(stage, Mapping) or folder == "":
+                raise TypeError(f"its stage {name} names no folder")
+
+    def check_options(self, **types: type | tuple[type, ...]) -> None:
+        """Whether the options are those of a command, by name and type.
+
+        Raises:
+            ValueError: if not.
+        """
+        for name in types.keys() | self.options.keys():
+            value = self.options.get(name)
+            wanted = types.get(name, ())
+            if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is int):
+                raise ValueError(
+                    f"{self.folder / self.FILE}: there is no option {name} = {value!r}; the folder was "
+                    "made by another command or version."
+                )
 
     def save(self) -> None:
         content = {"options": self.options, "stages": self.stages, "finished": self.finished}
@@ -149,6 +192,123 @@ class Record:
         return self.folder / folder if folder is not None else None
 
 
+def begin(
+    base: Path, output: Path | None, options: dict[str, Any], module: str
+) -> tuple[Record, IO[str]]:
+    """A folder of its own, with its record and its lock; says if one is left that is unfinished.
+
+    Args:
+        base: of folders without a name.
+        output: where the user wants it, seen by :func:`refuse_used`.
+        options: of the command.
+        module: of the command.
+
+    Raises:
+        OSError: if it cannot be made.
+        ValueError: if another process has it.
+    """
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+    else:
+        if (left := unfinished(base)) is not None:
+            where = shlex.quote(str(left))
+            print(f"{left} is unfinished; to go on with it: python -m {module} --resume {where}")
+        output = claim(base)
+    record = Record(output.resolve(), options)
+    held = locked(record)
+    if not is_unused(output):
+        raise FileExistsError(
+            f"{output} has been taken by another training: choose another folder."
+        )
+    record.save()
+    return record, held
+
+
+def refuse_used(output: Path) -> None:
+    """Refuse a folder that holds something, and say how to go on with what is unfinished.
+
+    Raises:
+        ValueError: if it does, or cannot be written.
+    """
+    if output.exists() and not is_unused(output):
+        if (output / Record.FILE).is_file() and not Record.load(output).finished:
+            raise ValueError(
+                f"{output} holds an unfinished training: go on with --resume {shlex.quote(str(output))}."
+            )
+        raise ValueError(f"{output} exists and is not overwritten: choose another folder.")
+    check_writable(output, output)
+
+
+def to_resume(folder: Path, **types: type | tuple[type, ...]) -> Record:
+    """The record of what has begun in a folder.
+
+    Args:
+        folder: that the user names.
+        types: of its options.
+
+    Raises:
+        ValueError: if it is over, or none.
+    """
+    if is_unused(folder):
+        raise ValueError(
+            f"{folder} is no training yet, {Record.FILE} not found: begin one in it with --output "
+            f"{shlex.quote(str(folder))}."
+        )
+    record = Record.load(folder.resolve())
+    record.check_options(**types)
+    if record.finished:
+        raise ValueError(f"{folder} is finished: there is nothing to go on with.")
+    return record
+
+
+@contextlib.contextmanager
+def says_how_to_go_on(record: Record, module: str) -> Iterator[None]:
+    """One line about what stops or fails in the block, which ends the command."""
+    go_on = f"go on with: python -m {module} --resume {shlex.quote(str(record.folder))}"
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"stopped; {go_on}", file=sys.stderr)
+        sys.exit(128 + signal.SIGINT)
+    except SystemExit as stop:
+        if isinstance(stop.code, str):
+            sys.exit(f"{stop.code} When that is put right {go_on}")
+        print(f"stopped; {go_on}", file=sys.stderr)
+        raise
+    except (OSError, ValueError) as error:  # a folder that somebody has changed, a full disk
+        sys.exit(f"error: {' '.join(str(error).split())} When that is put right {go_on}")
+
+
+def stage(
+    record: Record, name: str, folder_name: str, command: Callable[[Path], list[str]]
+) -> Path:
+    """Run a stage, unless it is finished; go on with it, if it has begun. Returns its folder.
+
+    Args:
+        record: of the whole.
+        name: of the stage.
+        folder_name: beside the record.
+        command: that runs it in a folder.
+    """
+    before = record.folder_of(name)
+    if before is not None and record.is_finished(name):
+        return before
+    folder = record.folder / folder_name
+    # It may have been killed before it had made anything, or between its end and the record of that.
+    remove_if_refused(folder)
+    if before is not None and is_over(folder):
+        record.finish(name, 0.0)
+        return folder
+    if (folder / ".hydra" / "overrides.yaml").is_file():
+        # It was cut short: it goes on in its folder, as it was configured.
+        given = [command(folder)[0], f"resume={quoted(folder)}"]
+    else:
+        given = command(folder)
+    record.begin(name, given, folder.name)
+    record.finish(name, run(name, given))
+    return folder
+
+
 def lock(folder: Path) -> IO[str] | None:
     """Keep others from a training as long as the file is open; ``None`` if another process has it.
 
@@ -166,6 +326,18 @@ def lock(folder: Path) -> IO[str] | None:
         file.close()
         return None
     return file
+
+
+def locked(record: Record) -> IO[str]:
+    """The lock of a training, which nobody else has.
+
+    Raises:
+        ValueError: if another process has it.
+    """
+    held = lock(record.folder)
+    if held is None:
+        raise ValueError(f"{record.folder} is being trained by another process.")
+    return held
 
 
 def is_unused(folder: Path) -> bool:

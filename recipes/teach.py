@@ -5,6 +5,7 @@ more or less like them (PD-MORL), evaluates it in fresh scenes, and draws your d
 ten minutes on two cores::
 
     python -m recipes.teach examples/drives_right.csv
+    python -m recipes.teach --resume runs/teach/2026-01-31_12-00-00    # one that was stopped
 
 ``docs/how_to/style.md`` says what to record, and what to do where it does not work. The stages are recipes of
 their own: ``--drex`` and ``--pd-morl`` pass overrides on to them.
@@ -14,10 +15,14 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import json
 import os
+import shlex
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import IO, Any
 
 import matplotlib
 
@@ -26,74 +31,166 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import torch
 import tqdm
+from tensordict import TensorDict
 
 from envs import HUMAN_RADIUS, SCENES, get_robot
-from envs.demonstrations import import_demonstrations
+from envs.demonstrations import ImportReport, import_demonstrations
 from torchrl_morl.data import load_demonstrations, save_demonstrations
 from torchrl_morl.deploy import load_policy
 
 from . import stages
-from .arguments import Parser, episodes, existing_file
+from .arguments import Parser, episodes, existing_file, existing_folder
 from .drex import schema as drex_schema
 from .evaluation import style
 from .evaluation.setting import choose
 from .evaluation.sweep import Sweep, sweep
 from .objectives import DEMO, known
-from .outputs import claim_folder
 from .pd_morl import schema as morl_schema
+from .stages import Record
 from .training.command import check_stage
 from .training.quoting import quoted
-from .training.run_folder import claim, final_policy
+from .training.run_folder import final_policy, write_atomically
+
+_RUNS = Path("runs/teach")
+_DATASET = "demonstrations.safetensors"
+_SET_HERE = ("env.robot", "demonstrations.dataset", "demonstrations.reward_model")
 
 
 def main() -> None:
     """Teach; ``--help`` lists the options."""
+    parser = make_parser()
+    args = parser.parse_args()
+    try:
+        record, held = resumed(args) if args.resume else begun(args)
+    except (OSError, ValueError) as error:
+        parser.error(" ".join(str(error).split()))
+    with held, stages.says_how_to_go_on(record, "recipes.teach"):
+        teach(record)
+
+
+def make_parser() -> argparse.ArgumentParser:
     parser = Parser(description=__doc__)
-    parser.add_argument("file", type=existing_file, help="recorded drives, .csv or .npz")
+    parser.add_argument("file", nargs="?", type=existing_file, help="recorded drives, .csv or .npz")
     parser.add_argument(
         "--boxes", type=existing_file, help="boxes around a .csv file's drives, .csv"
     )
     parser.add_argument("--robot", default="turtlebot2", help="that drove: a name or a .yaml file")
-    parser.add_argument("--output", type=Path, help="new folder (default: one in runs/teach)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--output", type=Path, help="new folder (default: one in runs/teach)")
+    where.add_argument(
+        "--resume", type=existing_folder, help="folder of an unfinished lesson to go on with"
+    )
     parser.add_argument(
         "--episodes", type=episodes, default=100, help="fresh scenes of the evaluation"
     )
     parser.add_argument("--full", action="store_true", help="full trainings instead of quick ones")
     parser.add_argument("--drex", nargs="*", default=[], help="overrides of recipes/drex")
     parser.add_argument("--pd-morl", nargs="*", default=[], help="overrides of recipes/pd_morl")
-    args = parser.parse_args()
-    started = time.perf_counter()
-    base = Path("runs/teach")
-    try:
-        robot = get_robot(args.robot)
-        drives, report = import_demonstrations(args.file, args.boxes, robot=robot)
-        planned = base / "new" if args.output is None else args.output.resolve()
-        stages.refuse_places("--drex", args.drex)
-        stages.refuse_places("--pd-morl", args.pd_morl)
-        check_stage("--drex", drex_schema, drex_command(args, planned)[1:], planned)
-        check_stage("--pd-morl", morl_schema, morl_command(args, planned)[1:], planned)
-        output = claim(base) if args.output is None else claim_folder(args.output, base)
-    except (OSError, ValueError) as error:
-        parser.error(str(error))
-    print(report)
-    output = output.resolve()
-    dataset = output / "demonstrations.safetensors"
-    save_demonstrations(
-        dataset,
-        drives,
-        {"source": args.file.name, "robot": args.robot, **dataclasses.asdict(report)},
+    return parser
+
+
+def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
+    """A new lesson, whose drives and stages have all been checked, in a folder of its own, and its lock.
+
+    Raises:
+        ValueError: for drives, a folder or an override that is refused.
+    """
+    if args.file is None:
+        raise ValueError("file must be given: recorded drives, or --resume and a folder.")
+    options = {
+        "file": str(args.file.resolve()),
+        "boxes": None if args.boxes is None else str(args.boxes.resolve()),
+        "robot": str(Path(args.robot).resolve()) if Path(args.robot).is_file() else args.robot,
+        "episodes": args.episodes,
+        "full": args.full,
+        "drex": args.drex,
+        "pd_morl": args.pd_morl,
+    }
+    if args.output is not None:
+        stages.refuse_used(args.output)
+    drives, report = recorded(options)
+    check(options, _RUNS / "new" if args.output is None else args.output.resolve())
+    record, held = stages.begin(_RUNS, args.output, options, "recipes.teach")
+    keep(record, drives, report)
+    return record, held
+
+
+def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
+    """A lesson that has begun, with the options that it was given then, and its lock.
+
+    Raises:
+        ValueError: if it is over, if it is none, or for options that would change it.
+    """
+    record = stages.to_resume(
+        args.resume,
+        file=str,
+        boxes=(str, type(None)),
+        robot=str,
+        episodes=int,
+        full=bool,
+        drex=list,
+        pd_morl=list,
     )
-    stages.run("D-REX", drex_command(args, output))
-    stages.run("PD-MORL", morl_command(args, output))
-    policy = final_policy(output / "pd_morl")
-    results = compare(policy, dataset, episodes=args.episodes)
+    if args.file or args.boxes or args.full or args.drex or args.pd_morl:
+        raise ValueError("--resume goes on with the file and options of the start: give no others.")
+    check(record.options, record.folder)
+    held = stages.locked(record)
+    record = Record.load(record.folder)
+    if not (record.folder / _DATASET).is_file():
+        keep(record, *recorded(record.options))
+    return record, held
+
+
+def recorded(options: Mapping[str, Any]) -> tuple[TensorDict, ImportReport]:
+    """The drives, replayed, and what became of each.
+
+    Raises:
+        ValueError: if none of them fits.
+    """
+    return import_demonstrations(
+        options["file"], options["boxes"], robot=get_robot(options["robot"])
+    )
+
+
+def keep(record: Record, drives: TensorDict, report: ImportReport) -> None:
+    """Save the drives for both stages, and say what became of them."""
+    print(report)
+    about = {"source": Path(record.options["file"]).name, "robot": record.options["robot"]}
+    save_demonstrations(record.folder / _DATASET, drives, about | dataclasses.asdict(report))
+
+
+def check(options: Mapping[str, Any], output: Path) -> None:
+    """Refuse what a stage would refuse, before the first of them begins.
+
+    Raises:
+        ValueError: in one line.
+    """
+    for option, given in (("--drex", options["drex"]), ("--pd-morl", options["pd_morl"])):
+        stages.refuse_places(option, given)
+        for one in given:
+            if one.partition("=")[0].lstrip("+") in _SET_HERE:
+                raise ValueError(f"{option} {one}: that is set by recipes.teach, leave it out.")
+    check_stage("--drex", drex_schema, drex_command(options, output / "drex")[1:], output)
+    check_stage("--pd-morl", morl_schema, morl_command(options, output / "pd_morl")[1:], output)
+
+
+def teach(record: Record) -> None:
+    """Run the stages that are not finished, then compare the policy with the drives."""
+    started = time.perf_counter()
+    options, output = record.options, record.folder
+    stages.stage(record, "D-REX", "drex", functools.partial(drex_command, options))
+    morl = stages.stage(record, "PD-MORL", "pd_morl", functools.partial(morl_command, options))
+    policy = final_policy(morl)
+    results = compare(policy, output / _DATASET, episodes=options["episodes"])
     picture = output / "style.png"
     draw(picture, results)
+    write_atomically(output / "style.json", json.dumps(results.numbers(), indent=2) + "\n")
+    record.finished = True
+    record.save()
     print(results.table())
-    (output / "style.json").write_text(json.dumps(results.numbers(), indent=2) + "\n")
     print(f"picture: {picture}")
     print(f"policy: {policy} ({(time.perf_counter() - started) / 60:.1f} minutes)")
-    print(f"try it: python -m recipes.demo --policy {policy}")
+    print(f"try it: python -m recipes.demo --policy {shlex.quote(str(policy))}")
     if results.likeness < 0.9:
         print(
             f"warning: at demonstration = 1 only {100 * results.likeness:.0f} % pass on the "
@@ -101,34 +198,34 @@ def main() -> None:
         )
 
 
-def drex_command(args: argparse.Namespace, output: Path) -> list[str]:
-    """What distils the drives in ``output`` into a reward model."""
+def drex_command(options: Mapping[str, Any], folder: Path) -> list[str]:
+    """What distils the drives beside a folder into a reward model in it."""
     return [
         "recipes.drex.drex",
-        f"hydra.run.dir={quoted(output / 'drex')}",
-        f"demonstrations.dataset={quoted(output / 'demonstrations.safetensors')}",
-        *common(args),
+        f"hydra.run.dir={quoted(folder)}",
+        f"demonstrations.dataset={quoted(folder.parent / _DATASET)}",
+        *common(options),
         f"torch_threads={threads()}",
-        *args.drex,
+        *options["drex"],
     ]
 
 
-def morl_command(args: argparse.Namespace, output: Path) -> list[str]:
+def morl_command(options: Mapping[str, Any], folder: Path) -> list[str]:
     """What trains a policy with that reward model."""
     return [
         "recipes.pd_morl.pd_morl",
-        f"hydra.run.dir={quoted(output / 'pd_morl')}",
-        f"demonstrations.reward_model={quoted(output / 'drex' / 'reward_model')}",
-        f"demonstrations.dataset={quoted(output / 'demonstrations.safetensors')}",
-        *common(args),
+        f"hydra.run.dir={quoted(folder)}",
+        f"demonstrations.reward_model={quoted(folder.parent / 'drex' / 'reward_model')}",
+        f"demonstrations.dataset={quoted(folder.parent / _DATASET)}",
+        *common(options),
         f"compute.torch_threads={threads()}",
-        *args.pd_morl,
+        *options["pd_morl"],
     ]
 
 
-def common(args: argparse.Namespace) -> list[str]:
-    preset = [] if args.full else ["preset=quick"]
-    return [*preset, f"env.robot={quoted(args.robot)}"]
+def common(options: Mapping[str, Any]) -> list[str]:
+    preset = [] if options["full"] else ["preset=quick"]
+    return [*preset, f"env.robot={quoted(options['robot'])}"]
 
 
 def threads() -> int:

@@ -13,15 +13,14 @@ import argparse
 import dataclasses
 import os
 import shlex
-import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
+from . import stages
 from .arguments import Parser, episodes, existing_folder
-from .stages import Record, is_unused, lock, refuse_places, run, unfinished
+from .stages import Record, refuse_places
 from .training.quoting import quoted
-from .training.run_folder import claim, final_policy, is_over, remove_if_refused
+from .training.run_folder import final_policy
 
 _RUNS = Path("runs/train")
 _MODULES = {
@@ -40,18 +39,8 @@ def main() -> None:
         record, held = resumed(args) if args.resume else begun(args)
     except (OSError, ValueError) as error:
         parser.error(" ".join(str(error).split()))
-    with held:
-        try:
-            train(record)
-        except (SystemExit, KeyboardInterrupt) as stop:
-            go_on = (
-                f"go on with: python -m recipes.train --resume {shlex.quote(str(record.folder))}"
-            )
-            code = 130 if isinstance(stop, KeyboardInterrupt) else stop.code
-            if isinstance(code, str):
-                sys.exit(f"{code} When that is put right {go_on}")
-            print(f"stopped; {go_on}", file=sys.stderr)
-            sys.exit(code)
+    with held, stages.says_how_to_go_on(record, "recipes.train"):
+        train(record)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -75,9 +64,10 @@ def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
     """A new training, whose stages have all been checked, in a folder of its own, and its lock.
 
     Raises:
-        ValueError: for an override that a stage refuses.
-        FileExistsError: for a folder that holds something.
+        ValueError: for an override that a stage refuses, or a folder that holds something.
     """
+    if args.without_mo_ppo and args.mo_ppo:
+        raise ValueError("--without-mo-ppo leaves nothing that --mo-ppo could change: give one.")
     options = {
         "drex": args.drex,
         "pd_morl": args.pd_morl,
@@ -85,42 +75,10 @@ def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
         "without_mo_ppo": args.without_mo_ppo,
         "episodes": args.episodes,
     }
-    output = args.output
-    if output is not None and output.exists() and not is_unused(output):
-        if (output / Record.FILE).is_file() and not Record.load(output).finished:
-            raise FileExistsError(
-                f"{output} holds an unfinished training: go on with --resume {shlex.quote(str(output))}."
-            )
-        raise FileExistsError(f"{output} exists and is not overwritten: choose another folder.")
-    check(options, output or _RUNS / "new")
-    if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-    else:
-        if (left := unfinished(_RUNS)) is not None:
-            print(
-                f"{left} is unfinished; to go on with it: python -m recipes.train --resume {shlex.quote(str(left))}"
-            )
-        output = claim(_RUNS)
-    record = Record(output.resolve(), options)
-    held = locked(record)
-    if not is_unused(output):
-        raise FileExistsError(
-            f"{output} has been taken by another training: choose another folder."
-        )
-    record.save()
-    return record, held
-
-
-def locked(record: Record) -> IO[str]:
-    """The lock of a training, which nobody else has.
-
-    Raises:
-        ValueError: if another process has it.
-    """
-    held = lock(record.folder)
-    if held is None:
-        raise ValueError(f"{record.folder} is being trained by another process.")
-    return held
+    if args.output is not None:
+        stages.refuse_used(args.output)
+    check(options, args.output or _RUNS / "new")
+    return stages.begin(_RUNS, args.output, options, "recipes.train")
 
 
 def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
@@ -129,18 +87,13 @@ def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
     Raises:
         ValueError: if it is over, if it is none, or for options that would change it.
     """
-    if is_unused(args.resume):
-        raise ValueError(
-            f"{args.resume} is no training yet, {Record.FILE} not found: begin one in it with --output "
-            f"{shlex.quote(str(args.resume))}."
-        )
-    record = Record.load(args.resume.resolve())
-    if record.finished:
-        raise ValueError(f"{args.resume} is finished: there is nothing to go on with.")
+    record = stages.to_resume(
+        args.resume, drex=list, pd_morl=list, mo_ppo=list, without_mo_ppo=bool, episodes=int
+    )
     if args.drex or args.pd_morl or args.mo_ppo or args.without_mo_ppo:
         raise ValueError("--resume goes on with the options of the start: give no others.")
     check(record.options, record.folder)
-    held = locked(record)
+    held = stages.locked(record)
     # Another process may have gone on with it, and finished, in the meantime.
     return Record.load(record.folder), held
 
@@ -226,42 +179,23 @@ class Plan:
 def train(record: Record) -> None:
     """Run the stages that are not finished, and record each that is."""
     plan = Plan(record)
-    stage(record, "D-REX", plan.drex)
-    morl = stage(record, "PD-MORL", plan.pd_morl)
+    stages.stage(record, "D-REX", _FOLDERS["D-REX"], plan.drex)
+    morl = stages.stage(record, "PD-MORL", _FOLDERS["PD-MORL"], plan.pd_morl)
     policy = final_policy(morl)
     if not record.options["without_mo_ppo"]:
-        ppo = stage(record, "MO-PPO", lambda folder: plan.mo_ppo(folder, policy))
+        ppo = stages.stage(
+            record, "MO-PPO", _FOLDERS["MO-PPO"], lambda folder: plan.mo_ppo(folder, policy)
+        )
         policy = final_policy(ppo)
     count = str(record.options["episodes"])
     command = ["recipes.evaluate", "--policy", str(policy), "--episodes", count, "--grid"]
     record.begin("evaluation", command, None)
-    record.finish("evaluation", run("evaluation", command))
+    record.finish("evaluation", stages.run("evaluation", command))
     record.finished = True
     record.save()
     for name, entry in record.stages.items():
         print(f"{name:>12}: {entry['seconds'] / 60:6.1f} min")
     print(f"policy: {policy}\ntry it: python -m recipes.demo --policy {shlex.quote(str(policy))}")
-
-
-def stage(record: Record, name: str, command: Callable[[Path], list[str]]) -> Path:
-    """Run a stage, unless it is finished; go on with it, if it has begun. Returns its folder."""
-    before = record.folder_of(name)
-    if before is not None and record.is_finished(name):
-        return before
-    folder = record.folder / _FOLDERS[name]
-    # It may have been killed before it had made anything, or between its end and the record of that.
-    remove_if_refused(folder)
-    if before is not None and is_over(folder):
-        record.finish(name, 0.0)
-        return folder
-    if (folder / ".hydra" / "overrides.yaml").is_file():
-        # It was cut short: it goes on in its folder, as it was configured.
-        given = [command(folder)[0], f"resume={quoted(folder)}"]
-    else:
-        given = command(folder)
-    record.begin(name, given, folder.name)
-    record.finish(name, run(name, given))
-    return folder
 
 
 if __name__ == "__main__":

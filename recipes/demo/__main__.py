@@ -29,7 +29,7 @@ from .switch import switch
 
 def main() -> None:
     """Run the demo; ``--help`` lists the options."""
-    parser = Parser(prog="python -m recipes.demo", description=__doc__.split("\n\n")[0])
+    parser = Parser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
     parser.add_argument(
         "--output", type=Path, help="new folder (default: runs/demo, else runs/demo-2 and so on)"

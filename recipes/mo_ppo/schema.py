@@ -119,7 +119,9 @@ class Preference(Section):
 class Collector(Section):
     """How experience is collected."""
 
-    total_frames: Count = Field(description="Steps of the whole training.")
+    total_frames: Count = Field(
+        description="Steps of the whole training; the last batch is a whole one."
+    )
     frames_per_batch: int = Field(
         ge=1, le=100_000_000, description="Steps between updates, over all environments."
     )

@@ -229,6 +229,9 @@ def main() -> None:
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"{name} names two systems: each needs a folder of its own.")
+        for name in args.condition:
+            if args.condition.count(name) > 1:
+                raise ValueError(f"--condition names {name} twice: once is enough.")
         for system, name in itertools.product(systems, args.condition):
             system.demonstrator(condition(name)["robot"])
         check_writable(args.output, args.output)

@@ -181,7 +181,12 @@ class _Command:
         raise SystemExit(code) from None
 
     def _go_on(self) -> str | None:
-        """The command that goes on where this one was; ``None`` where nothing is saved for it."""
+        """The command that goes on where this one was; ``None`` where nothing is saved for it.
+
+        A stage is silent: its part alone would go on, and the command that ran it says how to.
+        """
+        if stopping.IS_STAGE in os.environ:
+            return None
         if self.run_dir is None or "resume" not in self.schema.model_fields:
             return None
         if not (self.run_dir / ".hydra").is_dir():
@@ -213,7 +218,7 @@ class _Command:
             raise ConfigurationError(
                 f"{asked[-1]} goes on with one run, where it is: leave out --multirun."
             )
-        self.overrides = resumed(overrides)
+        self.overrides = resumed(overrides, self.schema, self.folder)
         if not shows:
             self._check(multirun=multirun)
         options = _options(args)

@@ -11,7 +11,7 @@ import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from pydantic import BaseModel
 
-from .quoting import in_quotes, is_sweep, quoted, reads_as
+from .quoting import in_quotes, is_harmless, is_of_hydra, is_sweep, quoted, reads_as
 from .validation import ConfigurationError, leaves, unknown_field
 
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
@@ -51,9 +51,11 @@ def prepared(
                 raise ConfigurationError(f"{override}: no field can be left out, null is nothing.")
             raise ConfigurationError(f"{override!r} is not field=value; --help lists the fields.")
         sign, key, value = match["sign"], match["key"], match["value"]
-        if key.startswith("hydra"):
+        if is_of_hydra(override):
             is_path = key in _FOLDERS
-        elif (folder / key).is_dir() and key:
+        elif key in _groups(folder):
+            if re.search(r"[/\\]", value):  # Hydra would read a file from anywhere
+                raise ConfigurationError(f"{override}: {key} is a name of a file in it, no path.")
             is_path = False
         elif sign == "~":
             raise ConfigurationError(f"{override}: no field can be left out, null is nothing.")
@@ -73,11 +75,13 @@ def prepared(
     return result
 
 
-def resumed(overrides: Sequence[str]) -> list[str]:
+def resumed(overrides: Sequence[str], schema: type[BaseModel], folder: Path) -> list[str]:
     """Overrides of a run that goes on: in its folder, with those it began with; the new ones come last.
 
     Args:
         overrides: as :func:`prepared` gives them; without ``resume=`` they stay as they are.
+        schema: of the recipe.
+        folder: of its YAML files.
 
     Raises:
         ConfigurationError: if what the folder says of its overrides cannot be used.
@@ -98,14 +102,22 @@ def resumed(overrides: Sequence[str]) -> list[str]:
         raise ConfigurationError(f"{file} cannot be read: {str(error).splitlines()[0]}") from error
     if not isinstance(kept, list) or not all(isinstance(one, str) for one in kept):
         raise ConfigurationError(f"{file} is no list of overrides: the run cannot go on.")
-    if asks := [one for one in kept if "${" in one or one.startswith("hydra")]:
-        # Somebody else's run must not read the user's environment.
+    if asks := [one for one in kept if not is_harmless(one)]:
         raise ConfigurationError(
             f"{file}: {asks[0]!r} is not taken from a folder; give it yourself."
         )
-    kept = [one for one in kept if not one.startswith("resume=")]
-    folder = () if any(one.startswith("hydra.run.dir=") for one in overrides) else (run,)
-    return [*kept, *overrides, *(f"hydra.run.dir={quoted(one)}" for one in folder)]
+    try:
+        kept = prepared(kept, schema, folder)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{file}: {error}") from error
+    kept = [one for one in kept if one.partition("=")[0].lstrip("+") != "resume"]
+    place = () if any(one.startswith("hydra.run.dir=") for one in overrides) else (run,)
+    return [*kept, *overrides, *(f"hydra.run.dir={quoted(one)}" for one in place)]
+
+
+def _groups(folder: Path) -> set[str]:
+    """Hydra's groups: folders beside a recipe's YAML, such as ``preset``."""
+    return {path.name for path in folder.iterdir() if path.is_dir()}
 
 
 def jobs(overrides: Sequence[str]) -> Iterator[list[str]]:

@@ -9,11 +9,15 @@ from collections.abc import Iterator
 from typing import Any
 from unittest import mock
 
-# What tensordict says while PyTorch compiles, to its own developers: that it reads a setting of PyTorch
-# which does nothing any more, and that it locks a tensordict in a graph, where nothing unlocks it.
+# What libraries say to their own developers. tensordict, while PyTorch compiles: that it reads a setting of
+# PyTorch which does nothing any more, and that it locks a tensordict in a graph, where nothing unlocks it.
+# TorchRL: that its BCLoss does not declare the target of its actor, of which it has none; and that the last
+# batch of a training is a whole one, which our pages say.
 _AMONG_LIBRARIES = (
     r"torch\._dynamo\.config\.inline_inbuilt_nn_modules is deprecated",
     r"Using lock_\(\) inside a compiled graph",
+    r"The name target_actor_network_params wasn't part of the annotations",
+    r"total_frames \(\d+\) is not exactly divisible by frames_per_batch",
 )
 
 

@@ -1,4 +1,4 @@
-"""Values that Hydra's grammar reads as what they are."""
+"""Values that Hydra's grammar reads as what they are, and overrides that a folder may say."""
 
 from __future__ import annotations
 
@@ -48,3 +48,21 @@ def is_sweep(value: str) -> bool:
         return OverridesParser.create().parse_override(f"key={value}").is_sweep_override()
     except HydraException:
         return False
+
+
+def is_of_hydra(override: str) -> bool:
+    """Whether it is about Hydra itself, which makes objects of whatever class it is told.
+
+    Examples:
+        >>> [is_of_hydra(one) for one in ("+hydra.callbacks.x=1", "hydra/launcher=a", "seed=1")]
+        [True, True, False]
+    """
+    return override.lstrip("+~ \t").startswith("hydra")
+
+
+def is_harmless(override: str) -> bool:
+    """Whether an override may come from a folder, which somebody else may have made.
+
+    It must not read the user's environment, and not tell Hydra what to run.
+    """
+    return "${" not in override and not is_of_hydra(override)

@@ -135,8 +135,11 @@ def is_over(run_dir: Path) -> bool:
         return False
     import yaml  # the stages alone need it
 
-    collector = (yaml.safe_load(config.read_text(encoding="utf-8")) or {}).get("collector", {})
-    return max(saved) >= collector.get("total_frames", float("inf"))
+    try:
+        total = yaml.safe_load(config.read_text(encoding="utf-8"))["collector"]["total_frames"]
+        return max(saved) >= total
+    except (yaml.YAMLError, ValueError, LookupError, TypeError, RecursionError):
+        return False  # its recipe says what is wrong with it
 
 
 def write_run_info(run_dir: Path) -> None:
@@ -191,8 +194,16 @@ def _git_state(diff_file: Path) -> dict[str, Any] | None:
 
 
 def score(policy: Path) -> float:
-    """What the evaluation that saved a policy gave it."""
-    return json.loads((policy / "policy.json").read_text())["card"]["score"]
+    """What the evaluation that saved a policy gave it.
+
+    Raises:
+        ValueError: if its card does not say.
+    """
+    file = policy / "policy.json"
+    try:
+        return float(json.loads(file.read_text(encoding="utf-8"))["card"]["score"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+        raise ValueError(f"{file} does not say the score of the policy: {error}.") from error
 
 
 def final_policy(run_dir: Path) -> Path:

@@ -124,7 +124,9 @@ class Preference(Section):
 class Collector(Section):
     """How experience is collected."""
 
-    total_frames: Count = Field(description="Steps of the whole training.")
+    total_frames: Count = Field(
+        description="Steps of the whole training; the last batch is a whole one."
+    )
     frames_per_batch: Size = Field(description="Steps between updates, over all environments.")
     init_random_frames: CountOrNone = Field(
         description="Steps of random actions before the first update."

@@ -12,6 +12,9 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
+IS_STAGE = "TORCHRL_MORL_IS_STAGE"
+"""In the environment of a recipe that another command runs, which says itself how to go on."""
+
 
 @dataclasses.dataclass
 class StopRequested:

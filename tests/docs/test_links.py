@@ -53,6 +53,15 @@ def test_no_link_is_broken(page):
     assert broken(page, page.read_text()) == []
 
 
+def test_the_history_lists_all_its_pages():
+    """In its table, which a reader sees, and in the tree of the site, which a glob fills."""
+    listed = {target for _, target in links((HISTORY / "index.md").read_text())}
+    there = {page.name for page in pages() if page.parent == HISTORY}
+    assert there - {"index.md"} == {target for target in listed if "/" not in target}
+    tree = (ROOT / "docs" / "index.md").read_text().split("```{toctree}")[-1]
+    assert {"history/index", "history/*"} <= set(tree.split()) and ":glob:" in tree
+
+
 def test_commits_are_found():
     text = (
         "at commit b43be93, or 8082e42; 1234567 episodes, defaced, arXiv 2404.04857, step-000240000"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from importlib import import_module
 from pathlib import Path
+from runpy import run_path
 
 import pytest
 from omegaconf import OmegaConf
@@ -69,6 +71,35 @@ def test_unit_tests_of_a_loss_pass():
 def test_preferences_in_a_foreign_environment(capsys):
     preferences.main()
     assert "kept through the episode: [0.2, 0.8]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "name", ["doorway", "my_robot", "numpy_controller", "preferences", "record_drives"]
+)
+def test_a_script_says_what_it_does_and_takes_no_more(name, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    title = import_module(f"examples.{name}").__doc__.split()[:4]
+    for arguments, code in ((["--help"], 0), (["--bogus"], 2), (["a.csv", "b.csv"], 2)):
+        monkeypatch.setattr("sys.argv", [f"{name}.py", *arguments])
+        with pytest.raises(SystemExit) as stop:
+            run_path(Path(doorway.__file__).with_name(f"{name}.py"), run_name="__main__")
+        printed = capsys.readouterr()
+        assert stop.value.code == code
+        assert (" ".join(title) in " ".join(printed.out.split())) == (code == 0)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [(".", "exists and is not overwritten"), ("none/a.csv", "No such file or directory")],
+)
+def test_drives_are_recorded_in_a_new_file(file, message, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["record_drives.py", file])
+    with pytest.raises(SystemExit) as stop:
+        run_path(record_drives.__file__, run_name="__main__")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert stop.value.code == 2 and message in line and file in line
 
 
 def test_the_shipped_drives_are_what_their_script_records(tmp_path):

@@ -339,7 +339,11 @@ def test_evaluation_of_another_scene_and_robot(policy, monkeypatch, capsys):
         (["--preferences", "0.5,0.6"], "--preferences 0.5,0.6: preference = "),
         (["--preferences", "1,0", "1.5,-0.5"], "preference[1] = -0.5 for objective 'efficiency'"),
         (["--preferences", "1,0", "1"], "--preferences 1: preference must have shape [..., 2]"),
-        (["--preferences", "a,b"], "--preferences a,b: could not convert string to float: 'a'"),
+        (
+            ["--preferences", "a,b"],
+            "--preferences must be numbers, for distance,efficiency, with commas between, got 'a,b'",
+        ),
+        (["--preferences", "1,0", "--grid"], "not allowed with argument"),
         (["--scene", "nowhere"], "Unknown scene 'nowhere': choose one of ['corridor', "),
         (["--robot", "broom"], "Unknown robot 'broom': choose one of ['hsr', 'turtlebot2']"),
         (["--drive", "legs"], "argument --drive: invalid choice: 'legs'"),

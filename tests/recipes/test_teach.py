@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import recipes.stages
 import recipes.teach as teach
 from tests._command import ROOT, run, run_here
 from torchrl_morl.deploy import load_policy
@@ -93,6 +94,11 @@ def test_what_was_not_learned_is_said(lesson):
         (["--pd-morl", "bogus.field=1"], "--pd-morl: there is no field bogus.field"),
         (["--pd-morl", "hydra.run.dir=elsewhere"], "--pd-morl hydra.run.dir=elsewhere: the stages"),
         (["--drex", "resume=elsewhere"], "--drex resume=elsewhere: the stages"),
+        (["--drex", "env.robot=hsr"], "--drex env.robot=hsr: that is set by recipes.teach"),
+        (["--pd-morl", "+env.robot=hsr"], "--pd-morl +env.robot=hsr: that is set by"),
+        (["--pd-morl", "demonstrations.dataset=null"], "that is set by recipes.teach"),
+        (["--pd-morl", "+hydra.callbacks.x=1"], "not Hydra's"),
+        (["--output", "/proc/x"], "--output /proc/x: /proc cannot be written"),
         (["--robot", "broom"], "broom"),
         (["--episodes", "0"], "--episodes"),
     ],
@@ -112,5 +118,67 @@ def test_a_folder_with_something_in_it_is_not_written_to(tmp_path, capsys):
     (tmp_path / "mine").write_text("mine")
     with pytest.raises(SystemExit):
         run_here(teach.main, DRIVES, "--output", str(tmp_path))
-    assert "is not empty, and nothing is overwritten" in capsys.readouterr().err
+    assert "exists and is not overwritten: choose another" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.fixture
+def stages_run(monkeypatch, tmp_path) -> list[list[str]]:
+    """What would be run; PD-MORL is cut short the first time, then leaves a policy."""
+    calls: list[list[str]] = []
+
+    def run(name: str, command: list[str]) -> float:
+        calls.append(command)
+        folder = tmp_path / "lesson" / command[0].split(".")[1]
+        if name == "PD-MORL" and not folder.exists():
+            (folder / ".hydra").mkdir(parents=True)
+            (folder / ".hydra" / "overrides.yaml").write_text("[]")
+            (folder / "checkpoints").mkdir()
+            raise SystemExit(143)
+        return 1.0
+
+    monkeypatch.setattr(recipes.stages, "run", run)
+    return calls
+
+
+def test_a_lesson_that_was_cut_short_goes_on(stages_run, tmp_path, monkeypatch, capsys):
+    lesson = tmp_path / "lesson"
+    with pytest.raises(SystemExit) as stop:
+        run_here(teach.main, DRIVES, "--output", str(lesson), "--drex", "seed=2")
+    assert stop.value.code == 143
+    go_on = f"python -m recipes.teach --resume {lesson}"
+    assert capsys.readouterr().err == f"stopped; go on with: {go_on}\n"
+    assert stages_run[0][-1] == "seed=2"
+
+    with pytest.raises(SystemExit):
+        run_here(teach.main, DRIVES, "--output", str(lesson))
+    assert "holds an unfinished training: go on with --resume" in capsys.readouterr().err
+    for given in ([DRIVES], ["--full"], ["--drex", "seed=3"]):
+        with pytest.raises(SystemExit):
+            run_here(teach.main, "--resume", str(lesson), *given)
+        assert "give no others" in capsys.readouterr().err
+
+    # Killed before the drives were kept: they are read again.
+    (lesson / "demonstrations.safetensors").unlink()
+    ended = []
+    monkeypatch.setattr(teach, "final_policy", lambda folder: folder / "policy")
+    monkeypatch.setattr(teach, "compare", lambda policy, dataset, **_: ended.append(policy))
+    monkeypatch.setattr(teach, "draw", lambda *_: (_ for _ in ()).throw(OSError("disk\nfull")))
+    with pytest.raises(SystemExit, match=rf"error: disk full When .* go on with: {go_on}"):
+        run_here(teach.main, "--resume", str(lesson))
+    assert (lesson / "demonstrations.safetensors").is_file()
+    assert stages_run[2:] == [["recipes.pd_morl.pd_morl", f"resume={lesson / 'pd_morl'}"]]
+    assert ended == [lesson / "pd_morl" / "policy"]
+
+
+def test_what_is_no_lesson_is_not_gone_on_with(tmp_path, capsys):
+    (tmp_path / "stages.json").write_text('{"options": {}, "stages": {}, "finished": false}')
+    for given, message in (
+        (["--resume", str(tmp_path)], "made by another command or version"),
+        ([], "file must be given"),
+    ):
+        with pytest.raises(SystemExit) as stop:
+            run_here(teach.main, *given)
+        assert stop.value.code == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert message in line

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import recipes.stages
 import recipes.train
 from recipes.stages import Record, lock
 
@@ -62,7 +63,7 @@ def test_train_runs_its_stages_one_after_the_other(polish, tmp_path, monkeypatch
             save_scores(tmp_path / "run" / "mo_ppo", [3])
         return 1.0
 
-    monkeypatch.setattr(recipes.train, "run", run)
+    monkeypatch.setattr(recipes.stages, "run", run)
     options = ["--output", str(tmp_path / "run"), "--episodes", "5", "--pd-morl", "seed=1"]
     options += ["--mo-ppo", "seed=3"] if polish else ["--without-mo-ppo"]
     monkeypatch.setattr(sys, "argv", ["train.py", *options, "--drex", "seed=2"])
@@ -90,7 +91,7 @@ def test_train_runs_its_stages_one_after_the_other(polish, tmp_path, monkeypatch
 
 def test_train_refuses_a_folder_that_holds_something(tmp_path, monkeypatch, capsys):
     (tmp_path / "mine").write_text("")
-    monkeypatch.setattr(recipes.train, "run", lambda *_: pytest.fail("a stage has begun"))
+    monkeypatch.setattr(recipes.stages, "run", lambda *_: pytest.fail("a stage has begun"))
     monkeypatch.setattr(sys, "argv", ["train.py", "--output", str(tmp_path)])
     with pytest.raises(SystemExit) as stop:
         recipes.train.main()
@@ -136,4 +137,4 @@ def test_train_leaves_a_folder_alone_that_another_process_has(
 
 def test_train_stops_at_the_first_stage_that_fails():
     with pytest.raises(SystemExit, match="D-REX failed with exit code 2"):
-        recipes.train.run("D-REX", ["json.tool", "--no-such-option"])
+        recipes.stages.run("D-REX", ["json.tool", "--no-such-option"])

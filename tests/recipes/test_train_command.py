@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import recipes.stages
 import recipes.train
 from recipes.stages import Record, lock
 
@@ -24,7 +25,7 @@ def stages(tmp_path, monkeypatch) -> list[tuple[str, list[str]]]:
             save_policy(folder)
         return 1.0
 
-    monkeypatch.setattr(recipes.train, "run", run)
+    monkeypatch.setattr(recipes.stages, "run", run)
     monkeypatch.chdir(tmp_path)
     return calls
 
@@ -84,6 +85,8 @@ def train(*arguments: object) -> int | str:
         (["--resume", "nowhere"], "argument --resume: must be a folder, 'nowhere' does not exist"),
         (["--resume", "."], "stages.json not found"),
         (["--resume", ".", "--output", "x"], "not allowed with argument"),
+        (["--without-mo-ppo", "--mo-ppo", "seed=1"], "--without-mo-ppo leaves nothing that"),
+        (["--output", "/proc/x"], "--output /proc/x: /proc cannot be written"),
     ],
 )
 def test_a_mistake_is_one_line_before_the_first_stage(arguments, message, stages, tmp_path, capsys):
@@ -117,7 +120,7 @@ def test_trainings_without_a_name_have_a_folder_each(stages, tmp_path):
 def test_a_training_that_was_cut_short_goes_on(
     number, checkpoint, stages, tmp_path, monkeypatch, capsys
 ):
-    names, run = ("D-REX", "PD-MORL", "MO-PPO", "evaluation"), recipes.train.run
+    names, run = ("D-REX", "PD-MORL", "MO-PPO", "evaluation"), recipes.stages.run
 
     def cut(name: str, command: list[str]) -> float:
         if name != names[number]:
@@ -131,7 +134,7 @@ def test_a_training_that_was_cut_short_goes_on(
                     (folder / file).write_text("[]")
         raise SystemExit(130)
 
-    monkeypatch.setattr(recipes.train, "run", cut)
+    monkeypatch.setattr(recipes.stages, "run", cut)
     output = tmp_path / "run"
     assert train("--output", output, "--drex", "seed=2") == 130
     go_on = f"python -m recipes.train --resume {output}"
@@ -140,7 +143,7 @@ def test_a_training_that_was_cut_short_goes_on(
     assert f"{output} holds an unfinished training: go on with --resume" in capsys.readouterr().err
 
     stages.clear()
-    monkeypatch.setattr(recipes.train, "run", run)
+    monkeypatch.setattr(recipes.stages, "run", run)
     assert train("--resume", output) == 0
     assert [name for name, _ in stages] == list(names[number:])
     overrides = stages[0][1][1:]
@@ -159,11 +162,27 @@ def test_a_stage_that_fails_says_how_to_go_on(stages, tmp_path, monkeypatch):
     def fail(name: str, command: list[str]) -> float:
         raise SystemExit(f"{name} failed with exit code 1; see above.")
 
-    monkeypatch.setattr(recipes.train, "run", fail)
+    monkeypatch.setattr(recipes.stages, "run", fail)
     assert train("--output", tmp_path / "run") == (
         "D-REX failed with exit code 1; see above. When that is put right go on with: "
         f"python -m recipes.train --resume {tmp_path / 'run'}"
     )
+
+
+def test_a_stage_that_leaves_no_score_is_one_line(stages, tmp_path, monkeypatch):
+    """Of a policy that somebody has changed."""
+    run = recipes.stages.run
+
+    def spoil(name: str, command: list[str]) -> float:
+        seconds = run(name, command)
+        if name == "PD-MORL":
+            (tmp_path / "run/pd_morl/policies/000000001/policy.json").write_text("{}")
+        return seconds
+
+    monkeypatch.setattr(recipes.stages, "run", spoil)
+    line = train("--output", tmp_path / "run")
+    assert "policy.json does not say the score of the policy" in line
+    assert f"go on with: python -m recipes.train --resume {tmp_path / 'run'}" in line
 
 
 def test_one_that_is_unfinished_is_offered_and_another_begins(stages, tmp_path, capsys):

@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import RewardScaling
 
+import recipes.stages
 import recipes.train
 from recipes.stages import Record
 from recipes.training import command
@@ -38,14 +39,19 @@ def commands(monkeypatch) -> list[list[str]]:
         found.append(given)
         return 1.0
 
-    monkeypatch.setattr(recipes.train, "run", run)
+    monkeypatch.setattr(recipes.stages, "run", run)
     return found
 
 
 def stage(folder: Path, name: str) -> Record:
     record = Record(folder, OPTIONS)
     record.begin(name, ["module"], name.lower().replace("-", "_"))
-    recipes.train.stage(record, name, lambda where: ["module", f"hydra.run.dir={where}"])
+    recipes.stages.stage(
+        record,
+        name,
+        record.stages[name]["folder"],
+        lambda where: ["module", f"hydra.run.dir={where}"],
+    )
     return record
 
 

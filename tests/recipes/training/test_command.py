@@ -8,8 +8,13 @@ import warnings
 from pathlib import Path
 
 import pytest
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torchrl.collectors import Collector
+from torchrl.objectives import BCLoss
 
 from tests._toy import begun, only_line, run, written
+from torchrl_morl.testing import VectorRewardMockEnv
 
 # --- where it runs
 
@@ -349,6 +354,24 @@ def test_warnings_are_a_line_each(toy, debug, capsys, recwarn):
     printed = capsys.readouterr().err
     assert printed == "warning: much more\n" or (debug and "/lib/file.py:3" in printed)
     assert warnings.formatwarning("x", UserWarning, "/lib/file.py", 3).startswith("/lib/file.py")
+
+
+def test_what_libraries_say_to_each_other_is_left_out_and_nothing_else(toy, recwarn, monkeypatch):
+    """The first are raised where the libraries raise them."""
+
+    def act(cfg):
+        network = TensorDictModule(nn.Linear(1, 1), ["observation"], ["action"])
+        BCLoss(network, loss_function="l2")
+        env = VectorRewardMockEnv(2, batch_size=(2,))
+        Collector(env, frames_per_batch=4, total_frames=6).shutdown()
+        Collector(env, frames_per_batch=5, total_frames=10).shutdown()
+
+    toy.act = act
+    monkeypatch.setattr("torchrl.collectors._single.RL_WARNINGS", True)  # off in our tests
+    warnings.simplefilter("always", UserWarning)  # not those of pyproject.toml for these modules
+    assert run(toy) == 0
+    said = [str(one.message).split()[0] for one in recwarn if one.category is UserWarning]
+    assert said == ["frames_per_batch"]
 
 
 def test_a_recipe_takes_a_configuration_as_an_argument(toy):
