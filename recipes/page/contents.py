@@ -49,7 +49,9 @@ def contents(
                 "one robot, build two."
             )
         if folder.name in policies:
-            raise ValueError(f"{folder}: another policy is called {folder.name}: rename the folder.")
+            raise ValueError(
+                f"{folder}: another policy is called {folder.name}: rename the folder."
+            )
         policies[folder.name], robot = entry, its
     assert robot is not None
     names = {name for entry in policies.values() for name in entry["objectives"]}

@@ -6,9 +6,7 @@ import re
 from pathlib import Path
 
 _IMPORT = re.compile(r'^import \{([^}]*)\} from "(\.{1,2}/[\w./-]+\.js)";$', re.MULTILINE)
-_EXPORT = re.compile(
-    r"^export (?:async )?(?:function\*?|class|const) (\w+)", re.MULTILINE
-)
+_EXPORT = re.compile(r"^export (?:async )?(?:function\*?|class|const) (\w+)", re.MULTILINE)
 
 
 def script(entry: Path) -> str:
@@ -53,7 +51,9 @@ def _add(
         return f"const {{ {', '.join(names)} }} = {scope};"
 
     exported = _EXPORT.findall(code)
-    body = re.sub(r"^export (?=async |function|class|const)", "", _IMPORT.sub(bound, code), flags=re.M)
+    body = re.sub(
+        r"^export (?=async |function|class|const)", "", _IMPORT.sub(bound, code), flags=re.M
+    )
     for line in body.splitlines():
         if re.match(r"(import|export)\b", line):
             raise ValueError(f"{path.name}: {line!r} is of a form that the page cannot hold.")
