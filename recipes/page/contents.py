@@ -20,10 +20,15 @@ from torchrl_morl.deploy.networks import describe_mlp
 SHIPPED = (Path("recipes/policies/navigation"), Path("recipes/policies/moving_humans"))
 """One that knows people who stand, one that knows people who walk."""
 
-SCENES = ("showcase", "static", "moving_human", "corridor", "empty")
+RECORDING = "empty"
+"""The scene in which visitors record drives, which may become a training."""
+
+SCENES = ("showcase", "static", "moving_human", "corridor", RECORDING)
 
 NUM_SCENES = 50
-"""Seeds of each scene: the first of those for tests."""
+"""Seeds of each scene."""
+
+_FIRST_TRAINING_SEED = TEST_SEEDS[-1] + 1
 
 
 def contents(
@@ -105,7 +110,11 @@ def _policy(folder: Path) -> tuple[dict[str, Any], Robot]:
 def _scenes(
     scene: Scene, robot: Robot, goal_radius: float, num_scenes: int
 ) -> tuple[str, dict[str, Any]]:
-    """What the first episode of ``NavigationEnv(scene=scene, seed=seed)`` is, for the first seeds of tests."""
+    """What the first episode of ``NavigationEnv(scene=scene, seed=seed)`` is, for the first seeds.
+
+    No policy has trained in what the page shows, those of tests; what is recorded must not be of tests.
+    """
+    first = _FIRST_TRAINING_SEED if scene.name == RECORDING else TEST_SEEDS[0]
     env = NavigationEnv(
         scene=scene,
         robot=robot,
@@ -115,7 +124,7 @@ def _scenes(
         dtype=torch.float64,
     )
     found = []
-    for seed in TEST_SEEDS[:num_scenes]:
+    for seed in range(first, first + num_scenes):
         env.set_seed(seed)
         start = env.reset()[0]
         found.append(
@@ -133,6 +142,6 @@ def _scenes(
     env.close()
     return scene.name, {
         "human_speed": scene.human_speed,
-        "first_seed": TEST_SEEDS[0],
+        "first_seed": first,
         "scenes": found,
     }

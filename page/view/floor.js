@@ -1,0 +1,421 @@
+// The floor from above: everything that is drawn.
+import { HUMAN_RADIUS } from "../simulation/episode.js";
+import { NUM_RAYS } from "../simulation/lidar.js";
+import { DASHES, MARKS, css, mixture } from "./colors.js";
+
+const MARGIN = { x: 1.0, y: 0.9 };
+const LEAST_HEIGHT = 5.4; // metres
+const PERSONAL_SPACE = 2; // metres: closer than this, distance counts
+const TOUCH = 22; // pixels around a thing that still take hold of it
+
+export class Floor {
+  constructor(canvas, session) {
+    this.canvas = canvas;
+    this.context = canvas.getContext("2d");
+    this.session = session;
+    /** What is drawn beside the scene itself. */
+    this.show = { previews: true, demonstration: false, lidar: false };
+    this.selected = null;
+    this.target = null;
+  }
+
+  /** Take the size of the canvas, and see the whole scene. */
+  fit() {
+    const frame = this.canvas.getBoundingClientRect();
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    this.width = frame.width;
+    this.height = frame.height;
+    this.canvas.width = Math.round(frame.width * ratio);
+    this.canvas.height = Math.round(frame.height * ratio);
+    this.ratio = ratio;
+    const { start, goal, human, human_goal: humanGoal, boxes } = this.session.scene;
+    const points = [start, goal, human, humanGoal];
+    // Walls that go on for metres need not be seen to their ends.
+    for (const [x, y, , length, width] of boxes) {
+      const reach = Math.hypot(length, width);
+      if (reach < 1.5) points.push([x - reach, y - reach], [x + reach, y + reach]);
+    }
+    const xs = points.map((point) => point[0]);
+    const ys = points.map((point) => point[1]);
+    const low = [Math.min(...xs) - MARGIN.x, Math.min(...ys) - MARGIN.y];
+    const high = [Math.max(...xs) + MARGIN.x, Math.max(...ys) + MARGIN.y];
+    const middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
+    const size = [high[0] - low[0], Math.max(high[1] - low[1], LEAST_HEIGHT)];
+    this.scale = Math.min(this.width / size[0], this.height / size[1]);
+    this.middle = middle;
+  }
+
+  /** Pixels of a point in metres. */
+  at([x, y]) {
+    return [
+      this.width / 2 + this.scale * (x - this.middle[0]),
+      this.height / 2 - this.scale * (y - this.middle[1]),
+    ];
+  }
+
+  /** Metres of a point in pixels, within what is seen. */
+  metres(px, py) {
+    const edge = 0.2 * this.scale;
+    const x = Math.min(Math.max(px, edge), this.width - edge);
+    const y = Math.min(Math.max(py, edge), this.height - edge);
+    return [
+      this.middle[0] + (x - this.width / 2) / this.scale,
+      this.middle[1] - (y - this.height / 2) / this.scale,
+    ];
+  }
+
+  /** The movable thing at a point in pixels, or null. */
+  thingAt(px, py) {
+    const { episode } = this.session;
+    const near = (place, radius) => {
+      const [x, y] = this.at(place);
+      return Math.hypot(px - x, py - y) <= Math.max(radius * this.scale, TOUCH);
+    };
+    if (near(this.session.shown.human, HUMAN_RADIUS)) return "human";
+    if (near(episode.goal, episode.limits.goalRadius)) return "goal";
+    const [x, y] = this.metres(px, py);
+    const index = episode.boxes.findIndex((box) => {
+      const [dx, dy] = [x - box[0], y - box[1]];
+      const [cos, sin] = [Math.cos(box[2]), Math.sin(box[2])];
+      const grace = 8 / this.scale;
+      const along = Math.abs(cos * dx + sin * dy) <= box[3] + grace;
+      return along && Math.abs(cos * dy - sin * dx) <= box[4] + grace;
+    });
+    return index < 0 ? null : `box${index}`;
+  }
+
+  /** Everything, in the colours of `theme`; `ways` are the answers of Previews. */
+  draw(theme, ways) {
+    const { context: c, session, ratio } = this;
+    this.theme = theme;
+    c.setTransform(ratio, 0, 0, ratio, 0, 0);
+    c.fillStyle = theme.floor;
+    c.fillRect(0, 0, this.width, this.height);
+    c.lineCap = c.lineJoin = "round";
+    this.#grid();
+    const { pose, human } = session.shown;
+    if (this.show.lidar && session.scan) this.#lidar();
+    this.#ring(human, PERSONAL_SPACE);
+    this.#goal(session.episode.goal);
+    session.episode.boxes.forEach((box, index) => this.#box(box, `box${index}`));
+    if (this.show.demonstration && session.demonstration) {
+      this.#line(session.demonstration, theme.ink, 2.5, [10, 7], 0.55);
+    }
+    for (const ghost of session.ghosts) this.#trail(ghost, 0.3);
+    this.#trail([...session.trail.slice(0, -4), { x: pose[0], y: pose[1] }], 1);
+    if (this.show.previews && !session.driver) this.#previews(ways, pose);
+    this.#human(human);
+    this.#robot(pose);
+    if (this.target) this.#target();
+  }
+
+  #grid() {
+    const { context: c, theme } = this;
+    const [left, top] = this.at([Math.floor(this.middle[0] - this.width / this.scale), 0]);
+    c.strokeStyle = theme.grid;
+    c.lineWidth = 1;
+    c.beginPath();
+    for (let x = left % this.scale; x < this.width; x += this.scale) {
+      c.moveTo(x, 0);
+      c.lineTo(x, this.height);
+    }
+    for (let y = top % this.scale; y < this.height; y += this.scale) {
+      c.moveTo(0, y);
+      c.lineTo(this.width, y);
+    }
+    c.stroke();
+  }
+
+  #line(points, color, width, dash, alpha = 1) {
+    const { context: c } = this;
+    c.save();
+    c.globalAlpha = alpha;
+    c.strokeStyle = color;
+    c.lineWidth = width;
+    c.setLineDash(dash);
+    c.beginPath();
+    points.forEach((point, index) => {
+      const [x, y] = this.at(point);
+      if (index) c.lineTo(x, y);
+      else c.moveTo(x, y);
+    });
+    c.stroke();
+    c.restore();
+  }
+
+  // Where the robot went, each piece in the colour of the preference under which it went there.
+  #trail(trail, alpha) {
+    const { theme } = this;
+    if (trail.length < 2) return;
+    if (alpha === 1) {
+      this.#line(trail.map(({ x, y }) => [x, y]), theme.casing, 7, []);
+    }
+    for (let from = 0; from < trail.length - 1; ) {
+      let to = from + 1;
+      while (to < trail.length - 1 && trail[to + 1].preference === trail[to].preference) to++;
+      const preference = trail[to].preference ?? trail[from].preference;
+      const color = css(mixture(preference, theme.corners));
+      const part = trail.slice(from, to + 1).map(({ x, y }) => [x, y]);
+      this.#line(part, color, alpha === 1 ? 4.5 : 3, [], alpha);
+      from = to;
+    }
+  }
+
+  #previews(ways, pose) {
+    const { theme } = this;
+    ways.forEach(({ points }, corner) => {
+      const color = css(theme.corners[corner]);
+      const ahead = [pose, ...points.slice(2)];
+      this.#line(ahead, theme.casing, 5, DASHES[corner % DASHES.length], 0.55);
+      this.#line(ahead, color, 3, DASHES[corner % DASHES.length]);
+    });
+    const marks = ways.map(({ points }, corner) => this.#furthest(points, ways, corner));
+    marks.forEach((place, corner) => {
+      const color = css(theme.corners[corner]);
+      if (place) this.#mark(...this.at(place), MARKS[corner % MARKS.length], color);
+    });
+    const taken = [[0, 0, this.width, this.width < 520 ? 44 : 56]];
+    marks.forEach((place, corner) => {
+      if (place) this.#label(this.labels[corner], this.at(place), taken);
+    });
+  }
+
+  // Beside a mark, and on no other label.
+  #label(text, [x, y], taken) {
+    const { context: c, theme } = this;
+    c.font = `600 ${this.width < 520 ? 11 : 13}px system-ui, sans-serif`;
+    const width = c.measureText(text).width;
+    const left = Math.min(Math.max(x - width / 2, 8), this.width - width - 8);
+    for (const line of [y - 15, y + 25, y - 32, y + 42]) {
+      const box = [left - 4, line - 13, left + width + 4, line + 4];
+      const free = ([l, t, r, b]) => box[2] < l || box[0] > r || box[3] < t || box[1] > b;
+      if (!taken.every(free) || box[3] > this.height) continue;
+      taken.push(box);
+      c.lineWidth = 4;
+      c.strokeStyle = theme.floor;
+      c.strokeText(text, left, line);
+      c.fillStyle = theme.ink;
+      c.fillText(text, left, line);
+      return;
+    }
+  }
+
+  // Where a way lies furthest from the others: there it gets its name.
+  #furthest(points, ways, corner) {
+    let best = null;
+    let most = 0.22;
+    for (const point of points.slice(4)) {
+      let least = Infinity;
+      ways.forEach(({ points: others }, index) => {
+        if (index === corner) return;
+        for (const other of others) {
+          least = Math.min(least, Math.hypot(point[0] - other[0], point[1] - other[1]));
+        }
+      });
+      if (least > most) {
+        most = least;
+        best = point;
+      }
+    }
+    return best;
+  }
+
+  #mark(x, y, mark, color) {
+    const { context: c, theme } = this;
+    const r = 6;
+    c.beginPath();
+    if (mark === "circle") c.arc(x, y, r, 0, 2 * Math.PI);
+    else {
+      const count = { square: 4, triangle: 3, diamond: 4 }[mark];
+      const turn = mark === "square" ? Math.PI / 4 : Math.PI / 2;
+      for (let corner = 0; corner < count; corner++) {
+        const angle = turn + (2 * Math.PI * corner) / count;
+        const place = [x + 1.3 * r * Math.cos(angle), y - 1.3 * r * Math.sin(angle)];
+        if (corner) c.lineTo(...place);
+        else c.moveTo(...place);
+      }
+      c.closePath();
+    }
+    c.fillStyle = color;
+    c.strokeStyle = theme.floor;
+    c.lineWidth = 4;
+    c.stroke();
+    c.fill();
+  }
+
+  #ring(place, radius) {
+    const { context: c, theme } = this;
+    const [x, y] = this.at(place);
+    c.fillStyle = theme.faint;
+    c.beginPath();
+    c.arc(x, y, radius * this.scale, 0, 2 * Math.PI);
+    c.fill();
+    c.fillStyle = theme.quiet;
+    c.font = "12px system-ui, sans-serif";
+    c.textAlign = "center";
+    c.fillText(`${radius} m`, x, y + radius * this.scale - 7);
+    c.textAlign = "start";
+  }
+
+  #lidar() {
+    const { context: c, theme, session } = this;
+    const { body, robot } = session.episode;
+    const origin = [
+      body.x + robot.lidar_offset * Math.cos(body.heading),
+      body.y + robot.lidar_offset * Math.sin(body.heading),
+    ];
+    c.beginPath();
+    for (let ray = 0; ray < NUM_RAYS; ray += 2) {
+      const angle = body.heading + (2 * Math.PI * ray) / NUM_RAYS;
+      const range = session.scan[ray];
+      c.lineTo(
+        ...this.at([origin[0] + range * Math.cos(angle), origin[1] + range * Math.sin(angle)]),
+      );
+    }
+    c.closePath();
+    c.fillStyle = theme.lidar;
+    c.fill();
+    c.strokeStyle = theme.lidarEdge;
+    c.lineWidth = 1;
+    c.stroke();
+  }
+
+  #goal(place) {
+    const { context: c, theme, session } = this;
+    const [x, y] = this.at(place);
+    const r = session.episode.limits.goalRadius * this.scale;
+    c.fillStyle = theme.goal;
+    c.beginPath();
+    c.arc(x, y, r, 0, 2 * Math.PI);
+    c.fill();
+    c.strokeStyle = theme.ink;
+    c.lineWidth = 1.5;
+    c.setLineDash([4, 4]);
+    c.stroke();
+    c.setLineDash([]);
+    const pole = Math.max(0.62 * this.scale, 30);
+    c.lineWidth = 2.5;
+    c.beginPath();
+    c.moveTo(x, y);
+    c.lineTo(x, y - pole);
+    c.stroke();
+    c.fillStyle = theme.ink;
+    c.beginPath();
+    c.moveTo(x, y - pole);
+    c.lineTo(x + 0.55 * pole, y - 0.8 * pole);
+    c.lineTo(x, y - 0.6 * pole);
+    c.fill();
+    this.#held("goal", x, y, r);
+  }
+
+  #box(box, name) {
+    const { context: c, theme } = this;
+    const [x, y] = this.at(box);
+    c.save();
+    c.translate(x, y);
+    c.rotate(-box[2]);
+    const [w, h] = [box[3] * this.scale, box[4] * this.scale];
+    c.fillStyle = theme.box;
+    c.strokeStyle = theme.boxEdge;
+    c.lineWidth = 1.5;
+    c.beginPath();
+    c.roundRect(-w, -h, 2 * w, 2 * h, Math.min(5, w, h));
+    c.fill();
+    c.stroke();
+    c.restore();
+    this.#held(name, x, y, Math.hypot(box[3], box[4]) * this.scale);
+  }
+
+  #human(place) {
+    const { context: c, theme, session } = this;
+    const [x, y] = this.at(place);
+    const r = HUMAN_RADIUS * this.scale;
+    const [gx, gy] = session.episode.humanGoal;
+    const walks = session.episode.humanSpeed > 0 && Math.hypot(gx - place[0], gy - place[1]) > 0.05;
+    const heading = walks ? Math.atan2(gy - place[1], gx - place[0]) : (place[2] ?? 0);
+    if (walks) this.#line([place, [gx, gy]], theme.ink, 1.2, [2, 6], 0.6);
+    c.fillStyle = theme.human;
+    c.globalAlpha = 0.22;
+    c.beginPath();
+    c.arc(x, y, r, 0, 2 * Math.PI);
+    c.fill();
+    c.globalAlpha = 1;
+    c.save();
+    c.translate(x, y);
+    c.rotate(-heading);
+    c.beginPath(); // shoulders
+    c.ellipse(0, 0, 0.5 * r, 0.98 * r, 0, 0, 2 * Math.PI);
+    c.fill();
+    c.fillStyle = theme.head;
+    c.strokeStyle = theme.human;
+    c.lineWidth = 1.5;
+    c.beginPath();
+    c.moveTo(0.46 * r, 0.2 * r); // a nose
+    c.lineTo(0.74 * r, 0);
+    c.lineTo(0.46 * r, -0.2 * r);
+    c.arc(0, 0, 0.5 * r, -0.4, 0.4, true);
+    c.closePath();
+    c.fill();
+    c.stroke();
+    c.restore();
+    this.#held("human", x, y, r);
+    c.font = "12px system-ui, sans-serif";
+    c.textAlign = "center";
+    c.fillStyle = theme.quiet;
+    c.fillText("person", x, y + r + 16);
+    c.textAlign = "start";
+  }
+
+  #held(name, x, y, radius) {
+    if (this.selected !== name) return;
+    const { context: c, theme } = this;
+    c.strokeStyle = theme.focus;
+    c.lineWidth = 2.5;
+    c.beginPath();
+    c.arc(x, y, radius + 7, 0, 2 * Math.PI);
+    c.stroke();
+  }
+
+  #robot([px, py, heading]) {
+    const { context: c, theme, session } = this;
+    const [x, y] = this.at([px, py]);
+    const r = Math.max(session.contents.robot.radius * this.scale, 9);
+    c.save();
+    c.translate(x, y);
+    c.rotate(-heading);
+    c.fillStyle = css(mixture(session.preference, theme.corners));
+    c.strokeStyle = theme.floor;
+    c.lineWidth = 3;
+    c.beginPath();
+    c.arc(0, 0, r + 4, 0, 2 * Math.PI);
+    c.stroke();
+    c.fill();
+    c.fillStyle = theme.robot;
+    c.beginPath();
+    c.arc(0, 0, 0.86 * r, 0, 2 * Math.PI);
+    c.fill();
+    c.fillStyle = theme.nose;
+    c.beginPath();
+    c.moveTo(0.72 * r, 0);
+    c.lineTo(-0.3 * r, 0.5 * r);
+    c.lineTo(-0.08 * r, 0);
+    c.lineTo(-0.3 * r, -0.5 * r);
+    c.closePath();
+    c.fill();
+    c.restore();
+  }
+
+  #target() {
+    const { context: c, theme } = this;
+    const [x, y] = this.at(this.target);
+    c.strokeStyle = theme.focus;
+    c.lineWidth = 2;
+    c.beginPath();
+    c.arc(x, y, 11, 0, 2 * Math.PI);
+    c.moveTo(x - 16, y);
+    c.lineTo(x + 16, y);
+    c.moveTo(x, y - 16);
+    c.lineTo(x, y + 16);
+    c.stroke();
+  }
+}
