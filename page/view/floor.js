@@ -175,18 +175,21 @@ export class Floor {
       if (place) this.#mark(...this.at(place), MARKS[corner % MARKS.length], color);
     });
     const taken = [[0, 0, this.width, this.width < 520 ? 44 : 56]];
+    const found = marks.filter(Boolean);
+    const middle = found.reduce((sum, [, y]) => sum + y / found.length, 0);
     marks.forEach((place, corner) => {
-      if (place) this.#label(this.labels[corner], this.at(place), taken);
+      if (place) this.#label(this.labels[corner], this.at(place), place[1] >= middle, taken);
     });
   }
 
-  // Beside a mark, and on no other label.
-  #label(text, [x, y], taken) {
+  // Above or below a mark, and on no other label.
+  #label(text, [x, y], above, taken) {
     const { context: c, theme } = this;
     c.font = `600 ${this.width < 520 ? 11 : 13}px system-ui, sans-serif`;
     const width = c.measureText(text).width;
     const left = Math.min(Math.max(x - width / 2, 8), this.width - width - 8);
-    for (const line of [y - 15, y + 25, y - 32, y + 42]) {
+    const lines = [y - 15, y + 25, y - 32, y + 42];
+    for (const line of above ? lines : [lines[1], lines[3], lines[0], lines[2]]) {
       const box = [left - 4, line - 13, left + width + 4, line + 4];
       const free = ([l, t, r, b]) => box[2] < l || box[0] > r || box[3] < t || box[1] > b;
       if (!taken.every(free) || box[3] > this.height) continue;

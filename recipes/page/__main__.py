@@ -46,7 +46,9 @@ def main() -> None:
         help="scenes of each kind (default: %(default)s)",
     )
     parser.add_argument(
-        "--output", type=Path, help="new .html file (default: runs/page/index.html, or index-2.html)"
+        "--output",
+        type=Path,
+        help="new .html file (default: runs/page/index.html, or index-2.html)",
     )
     args = parser.parse_args()
     try:

@@ -17,7 +17,8 @@ from recipes.objectives import known
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.deploy.networks import describe_mlp
 
-SHIPPED = (Path("recipes/policies/navigation"), Path("recipes/policies/moving_humans"))
+_POLICIES = Path(__file__).resolve().parents[1] / "policies"
+SHIPPED = (_POLICIES / "navigation", _POLICIES / "moving_humans")
 """One that knows people who stand, one that knows people who walk."""
 
 RECORDING = "empty"
