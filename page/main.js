@@ -10,6 +10,7 @@ import { themeFor } from "./view/theme.js";
 import { Previews, serve } from "./view/worker.js";
 
 const PAUSE_AT_THE_END = 1.8; // seconds, before it starts again
+const HOW_TO_DRIVE = "Press and hold where the robot should go, or use the arrow keys";
 const ENDINGS = {
   goal: ({ seconds, nearest }) =>
     `There in ${seconds.toFixed(1)} s, ${nearest.toFixed(2)} m from the person at the nearest`,
@@ -69,12 +70,13 @@ function start() {
   };
 
   session.onStep = () => {
+    if (session.driver && session.episode.elapsed === 1) verdict(null);
     recorder.step();
     ask();
   };
   session.onRestart = () => {
     ended = 0;
-    verdict(null);
+    verdict(session.driver ? HOW_TO_DRIVE : null);
     previews.forget();
     recorder.begin();
     ask();

@@ -77,7 +77,8 @@ export class Recorder {
     );
     const count = kept.length;
     byId("download").disabled = !count;
-    byId("download").textContent = count === 1 ? "Download 1 drive" : `Download ${count} drives`;
+    const drives = count === 1 ? "1 drive" : `${count || "your"} drives`;
+    byId("download").textContent = `Download ${drives}`;
     byId("download-boxes").hidden = this.drives.boxesCsv === null;
     const boxes = this.drives.boxesCsv === null ? "" : " --boxes boxes.csv";
     byId("teach").textContent = `python -m recipes.teach drives.csv${boxes}`;

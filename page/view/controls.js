@@ -15,7 +15,7 @@ const SCENES = {
   static: "a person and boxes",
   moving_human: "a person comes along",
   corridor: "corridors that cross",
-  empty: "a person alone, to record in",
+  empty: "a person alone",
 };
 
 const POLICIES = {
@@ -109,7 +109,8 @@ export function showSetting(session) {
   byId("policy").value = session.policyName;
   const shown = session.demonstration !== null;
   byId("show-demonstration").disabled = !shown;
-  byId("style-number").hidden = !shown;
+  byId("style-number").hidden = !shown || session.driver !== null;
+  byId("policy").parentElement.hidden = session.driver !== null;
 }
 
 /** The numbers on the floor. */

@@ -1,7 +1,7 @@
 // The floor from above: everything that is drawn.
 import { HUMAN_RADIUS } from "../simulation/episode.js";
-import { NUM_RAYS } from "../simulation/lidar.js";
 import { DASHES, MARKS, css, mixture } from "./colors.js";
+import { drawBox, drawGoal, drawHuman, drawLidar, drawRing, drawRobot, drawTarget } from "./things.js";
 
 const MARGIN = { x: 1.0, y: 0.9 };
 const LEAST_HEIGHT = 5.4; // metres
@@ -94,19 +94,19 @@ export class Floor {
     c.lineCap = c.lineJoin = "round";
     this.#grid();
     const { pose, human } = session.shown;
-    if (this.show.lidar && session.scan) this.#lidar();
-    this.#ring(human, PERSONAL_SPACE);
-    this.#goal(session.episode.goal);
-    session.episode.boxes.forEach((box, index) => this.#box(box, `box${index}`));
+    if (this.show.lidar && session.scan) drawLidar(this);
+    drawRing(this, human, PERSONAL_SPACE);
+    drawGoal(this, session.episode.goal);
+    session.episode.boxes.forEach((box, index) => drawBox(this, box, `box${index}`));
     if (this.show.demonstration && session.demonstration) {
-      this.#line(session.demonstration, theme.ink, 2.5, [10, 7], 0.55);
+      this.line(session.demonstration, theme.ink, 2.5, [10, 7], 0.55);
     }
     for (const ghost of session.ghosts) this.#trail(ghost, 0.3);
     this.#trail([...session.trail.slice(0, -4), { x: pose[0], y: pose[1] }], 1);
     if (this.show.previews && !session.driver) this.#previews(ways, pose);
-    this.#human(human);
-    this.#robot(pose);
-    if (this.target) this.#target();
+    drawHuman(this, human);
+    drawRobot(this, pose);
+    if (this.target) drawTarget(this);
   }
 
   #grid() {
@@ -126,7 +126,8 @@ export class Floor {
     c.stroke();
   }
 
-  #line(points, color, width, dash, alpha = 1) {
+  /** A line through points in metres. */
+  line(points, color, width, dash, alpha = 1) {
     const { context: c } = this;
     c.save();
     c.globalAlpha = alpha;
@@ -148,15 +149,15 @@ export class Floor {
     const { theme } = this;
     if (trail.length < 2) return;
     if (alpha === 1) {
-      this.#line(trail.map(({ x, y }) => [x, y]), theme.casing, 7, []);
+      this.line(trail.map(({ x, y }) => [x, y]), theme.casing, 7, []);
     }
     for (let from = 0; from < trail.length - 1; ) {
       let to = from + 1;
       while (to < trail.length - 1 && trail[to + 1].preference === trail[to].preference) to++;
-      const preference = trail[to].preference ?? trail[from].preference;
-      const color = css(mixture(preference, theme.corners));
+      const { preference } = trail[from + 1].preference === undefined ? trail[from] : trail[from + 1];
+      const color = preference ? css(mixture(preference, theme.corners)) : theme.quiet;
       const part = trail.slice(from, to + 1).map(({ x, y }) => [x, y]);
-      this.#line(part, color, alpha === 1 ? 4.5 : 3, [], alpha);
+      this.line(part, color, alpha === 1 ? 4.5 : 3, [], alpha);
       from = to;
     }
   }
@@ -166,8 +167,8 @@ export class Floor {
     ways.forEach(({ points }, corner) => {
       const color = css(theme.corners[corner]);
       const ahead = [pose, ...points.slice(2)];
-      this.#line(ahead, theme.casing, 5, DASHES[corner % DASHES.length], 0.55);
-      this.#line(ahead, color, 3, DASHES[corner % DASHES.length]);
+      this.line(ahead, theme.casing, 5, DASHES[corner % DASHES.length], 0.55);
+      this.line(ahead, color, 3, DASHES[corner % DASHES.length]);
     });
     const marks = ways.map(({ points }, corner) => this.#furthest(points, ways, corner));
     marks.forEach((place, corner) => {
@@ -176,6 +177,9 @@ export class Floor {
     });
     const taken = [[0, 0, this.width, this.width < 520 ? 44 : 56]];
     const found = marks.filter(Boolean);
+    for (const [x, y] of found.map((place) => this.at(place))) {
+      taken.push([x - 8, y - 8, x + 8, y + 8]);
+    }
     const middle = found.reduce((sum, [, y]) => sum + y / found.length, 0);
     marks.forEach((place, corner) => {
       if (place) this.#label(this.labels[corner], this.at(place), place[1] >= middle, taken);
@@ -244,181 +248,5 @@ export class Floor {
     c.lineWidth = 4;
     c.stroke();
     c.fill();
-  }
-
-  #ring(place, radius) {
-    const { context: c, theme } = this;
-    const [x, y] = this.at(place);
-    c.fillStyle = theme.faint;
-    c.beginPath();
-    c.arc(x, y, radius * this.scale, 0, 2 * Math.PI);
-    c.fill();
-    c.fillStyle = theme.quiet;
-    c.font = "12px system-ui, sans-serif";
-    c.textAlign = "center";
-    c.fillText(`${radius} m`, x, y + radius * this.scale - 7);
-    c.textAlign = "start";
-  }
-
-  #lidar() {
-    const { context: c, theme, session } = this;
-    const { body, robot } = session.episode;
-    const origin = [
-      body.x + robot.lidar_offset * Math.cos(body.heading),
-      body.y + robot.lidar_offset * Math.sin(body.heading),
-    ];
-    c.beginPath();
-    for (let ray = 0; ray < NUM_RAYS; ray += 2) {
-      const angle = body.heading + (2 * Math.PI * ray) / NUM_RAYS;
-      const range = session.scan[ray];
-      c.lineTo(
-        ...this.at([origin[0] + range * Math.cos(angle), origin[1] + range * Math.sin(angle)]),
-      );
-    }
-    c.closePath();
-    c.fillStyle = theme.lidar;
-    c.fill();
-    c.strokeStyle = theme.lidarEdge;
-    c.lineWidth = 1;
-    c.stroke();
-  }
-
-  #goal(place) {
-    const { context: c, theme, session } = this;
-    const [x, y] = this.at(place);
-    const r = session.episode.limits.goalRadius * this.scale;
-    c.fillStyle = theme.goal;
-    c.beginPath();
-    c.arc(x, y, r, 0, 2 * Math.PI);
-    c.fill();
-    c.strokeStyle = theme.ink;
-    c.lineWidth = 1.5;
-    c.setLineDash([4, 4]);
-    c.stroke();
-    c.setLineDash([]);
-    const pole = Math.max(0.62 * this.scale, 30);
-    c.lineWidth = 2.5;
-    c.beginPath();
-    c.moveTo(x, y);
-    c.lineTo(x, y - pole);
-    c.stroke();
-    c.fillStyle = theme.ink;
-    c.beginPath();
-    c.moveTo(x, y - pole);
-    c.lineTo(x + 0.55 * pole, y - 0.8 * pole);
-    c.lineTo(x, y - 0.6 * pole);
-    c.fill();
-    this.#held("goal", x, y, r);
-  }
-
-  #box(box, name) {
-    const { context: c, theme } = this;
-    const [x, y] = this.at(box);
-    c.save();
-    c.translate(x, y);
-    c.rotate(-box[2]);
-    const [w, h] = [box[3] * this.scale, box[4] * this.scale];
-    c.fillStyle = theme.box;
-    c.strokeStyle = theme.boxEdge;
-    c.lineWidth = 1.5;
-    c.beginPath();
-    c.roundRect(-w, -h, 2 * w, 2 * h, Math.min(5, w, h));
-    c.fill();
-    c.stroke();
-    c.restore();
-    this.#held(name, x, y, Math.hypot(box[3], box[4]) * this.scale);
-  }
-
-  #human(place) {
-    const { context: c, theme, session } = this;
-    const [x, y] = this.at(place);
-    const r = HUMAN_RADIUS * this.scale;
-    const [gx, gy] = session.episode.humanGoal;
-    const walks = session.episode.humanSpeed > 0 && Math.hypot(gx - place[0], gy - place[1]) > 0.05;
-    const heading = walks ? Math.atan2(gy - place[1], gx - place[0]) : (place[2] ?? 0);
-    if (walks) this.#line([place, [gx, gy]], theme.ink, 1.2, [2, 6], 0.6);
-    c.fillStyle = theme.human;
-    c.globalAlpha = 0.22;
-    c.beginPath();
-    c.arc(x, y, r, 0, 2 * Math.PI);
-    c.fill();
-    c.globalAlpha = 1;
-    c.save();
-    c.translate(x, y);
-    c.rotate(-heading);
-    c.beginPath(); // shoulders
-    c.ellipse(0, 0, 0.5 * r, 0.98 * r, 0, 0, 2 * Math.PI);
-    c.fill();
-    c.fillStyle = theme.head;
-    c.strokeStyle = theme.human;
-    c.lineWidth = 1.5;
-    c.beginPath();
-    c.moveTo(0.46 * r, 0.2 * r); // a nose
-    c.lineTo(0.74 * r, 0);
-    c.lineTo(0.46 * r, -0.2 * r);
-    c.arc(0, 0, 0.5 * r, -0.4, 0.4, true);
-    c.closePath();
-    c.fill();
-    c.stroke();
-    c.restore();
-    this.#held("human", x, y, r);
-    c.font = "12px system-ui, sans-serif";
-    c.textAlign = "center";
-    c.fillStyle = theme.quiet;
-    c.fillText("person", x, y + r + 16);
-    c.textAlign = "start";
-  }
-
-  #held(name, x, y, radius) {
-    if (this.selected !== name) return;
-    const { context: c, theme } = this;
-    c.strokeStyle = theme.focus;
-    c.lineWidth = 2.5;
-    c.beginPath();
-    c.arc(x, y, radius + 7, 0, 2 * Math.PI);
-    c.stroke();
-  }
-
-  #robot([px, py, heading]) {
-    const { context: c, theme, session } = this;
-    const [x, y] = this.at([px, py]);
-    const r = Math.max(session.contents.robot.radius * this.scale, 9);
-    c.save();
-    c.translate(x, y);
-    c.rotate(-heading);
-    c.fillStyle = css(mixture(session.preference, theme.corners));
-    c.strokeStyle = theme.floor;
-    c.lineWidth = 3;
-    c.beginPath();
-    c.arc(0, 0, r + 4, 0, 2 * Math.PI);
-    c.stroke();
-    c.fill();
-    c.fillStyle = theme.robot;
-    c.beginPath();
-    c.arc(0, 0, 0.86 * r, 0, 2 * Math.PI);
-    c.fill();
-    c.fillStyle = theme.nose;
-    c.beginPath();
-    c.moveTo(0.72 * r, 0);
-    c.lineTo(-0.3 * r, 0.5 * r);
-    c.lineTo(-0.08 * r, 0);
-    c.lineTo(-0.3 * r, -0.5 * r);
-    c.closePath();
-    c.fill();
-    c.restore();
-  }
-
-  #target() {
-    const { context: c, theme } = this;
-    const [x, y] = this.at(this.target);
-    c.strokeStyle = theme.focus;
-    c.lineWidth = 2;
-    c.beginPath();
-    c.arc(x, y, 11, 0, 2 * Math.PI);
-    c.moveTo(x - 16, y);
-    c.lineTo(x + 16, y);
-    c.moveTo(x, y - 16);
-    c.lineTo(x, y + 16);
-    c.stroke();
   }
 }

@@ -147,7 +147,7 @@ export class Session {
     this.ghostsOf = this.#place();
     this.episode = new Episode(this.scene, this.contents.robot, this.limits);
     const { x, y } = this.episode.body;
-    this.trail = [{ x, y, preference: this.preference }];
+    this.trail = [{ x, y, preference: this.driver ? null : this.preference }];
     this.points = [[x, y]];
     this.poses = [[x, y, this.episode.body.heading]];
     this.humanTrack = [[...this.episode.human], [...this.episode.human]];
@@ -191,7 +191,8 @@ export class Session {
     const human = [...episode.human];
     this.poses = [[x, y, heading], ...episode.step(command)];
     this.humanTrack = [human, [...episode.human]];
-    const { preference } = this; // never changed, only replaced
+    // A preference is never changed, only replaced; null where somebody else drives.
+    const preference = this.driver ? null : this.preference;
     for (const pose of this.poses.slice(1)) this.trail.push({ x: pose[0], y: pose[1], preference });
     this.points.push([episode.body.x, episode.body.y]);
     this.frechet?.add(episode.body.x, episode.body.y);
