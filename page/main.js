@@ -42,8 +42,8 @@ function start() {
   };
   const ask = () => {
     if (!floor.show.previews || session.driver || session.episode.ending) return;
-    const { episode, policyName: name, clamped } = session;
-    previews.ask({ moment: episode.moment(), name, clamped });
+    const { episode, policyName: name, preference, clamped } = session;
+    previews.ask({ moment: episode.moment(), name, preference, clamped });
   };
 
   const weights = new Weights(session, (preference) => {
@@ -51,6 +51,7 @@ function start() {
     document.body.classList.remove("invite");
     weights.show();
     remember();
+    ask();
   });
   const paint = () => {
     const isDark = (document.documentElement.dataset.theme ??= dark.matches ? "dark" : "light");
@@ -151,7 +152,7 @@ function start() {
     }
     before = now;
     floor.target = hand.target;
-    floor.draw(theme, previews.ways);
+    floor.draw(theme, previews);
     showNumbers(session);
     requestAnimationFrame(frame);
   };

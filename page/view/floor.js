@@ -84,8 +84,8 @@ export class Floor {
     return index < 0 ? null : `box${index}`;
   }
 
-  /** Everything, in the colours of `theme`; `ways` are the answers of Previews. */
-  draw(theme, ways) {
+  /** Everything, in the colours of `theme`; `previews` has the ways ahead. */
+  draw(theme, previews) {
     const { context: c, session, ratio } = this;
     this.theme = theme;
     c.setTransform(ratio, 0, 0, ratio, 0, 0);
@@ -103,7 +103,7 @@ export class Floor {
     }
     for (const ghost of session.ghosts) this.#trail(ghost, 0.3);
     this.#trail([...session.trail.slice(0, -4), { x: pose[0], y: pose[1] }], 1);
-    if (this.show.previews && !session.driver) this.#previews(ways, pose);
+    if (this.show.previews && !session.driver) this.#previews(previews, pose);
     drawHuman(this, human);
     drawRobot(this, pose);
     if (this.target) drawTarget(this);
@@ -162,8 +162,12 @@ export class Floor {
     }
   }
 
-  #previews(ways, pose) {
+  #previews({ ways, own }, pose) {
     const { theme } = this;
+    if (own) {
+      const color = css(mixture(this.session.preference, theme.corners));
+      this.line([pose, ...own.points.slice(2)], color, 9, [], 0.28);
+    }
     ways.forEach(({ points }, corner) => {
       const color = css(theme.corners[corner]);
       const ahead = [pose, ...points.slice(2)];

@@ -1,4 +1,5 @@
-// Previews, apart from the page so that it stays smooth: rollouts of every corner preference from one moment.
+// Previews, apart from the page so that it stays smooth: rollouts from one moment, of every corner preference and of
+// the present one.
 import { Policy, bytes } from "../simulation/policy.js";
 import { preview } from "../simulation/preview.js";
 
@@ -12,13 +13,13 @@ export function serve(scope) {
       }
       return;
     }
-    const { number, moment, name, clamped } = data;
+    const { number, moment, name, preference, clamped } = data;
     const policy = policies[name];
-    const ways = policy.tunable.map((_, corner) => {
-      const preference = policy.tunable.map((_, entry) => (entry === corner ? 1 : 0));
-      return preview(moment, policy, preference, { clamped });
-    });
-    scope.postMessage({ number, ways });
+    const way = (weights) => preview(moment, policy, weights, { clamped });
+    const ways = policy.tunable.map((_, corner) =>
+      way(policy.tunable.map((_, entry) => (entry === corner ? 1 : 0))),
+    );
+    scope.postMessage({ number, ways, own: way(preference) });
   };
 }
 
@@ -33,15 +34,17 @@ export class Previews {
     this.waiting = null;
     /** The latest answer, one { points, ending } a corner. */
     this.ways = [];
+    /** The same under the preference of the question, or null. */
+    this.own = null;
     this.worker.onmessage = ({ data }) => {
       this.busy = false;
-      if (data.number >= this.valid) this.ways = data.ways;
+      if (data.number >= this.valid) [this.ways, this.own] = [data.ways, data.own];
       if (this.waiting) this.ask(this.waiting);
     };
     this.valid = 0;
   }
 
-  /** Where would it go from here? `question` has moment, name (of the policy) and clamped. */
+  /** Where would it go from here? `question`: moment, name (of the policy), preference, clamped. */
   ask(question) {
     if (this.busy) {
       this.waiting = question;
@@ -55,6 +58,7 @@ export class Previews {
   /** What was asked before is of another scene. */
   forget() {
     this.ways = [];
+    this.own = null;
     this.waiting = null;
     this.valid = this.number + 1;
   }

@@ -135,6 +135,12 @@ def test_previews_show_where_each_corner_would_go(opened):
     nearest = [min(math.hypot(x - 4.5, y) for x, y in way["points"]) for way in ways]
     assert nearest[1] > nearest[0] + 0.3  # far from the person
     assert nearest[1] > nearest[2] + 0.3
+    # The broad line is where it goes, and follows the dot also while all stands still.
+    page.evaluate("page.session.playing = false")
+    drag(page, corners(page)[2], corners(page)[1])
+    page.wait_for_function(
+        "JSON.stringify(page.previews.own) === JSON.stringify(page.previews.ways[1])"
+    )
     assert len(ways[2]["points"]) <= min(len(ways[0]["points"]), len(ways[1]["points"]))  # fast
 
 
