@@ -23,6 +23,7 @@ def opened(browser, page_file):
     def open_page(link: str = SHOWCASE, width: int = 1280, height: int = 800, **kwargs):
         context = browser.new_context(viewport={"width": width, "height": height}, **kwargs)
         contexts.append(context)
+        context.set_default_timeout(120_000)  # a loaded machine takes its time
         page = context.new_page()
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.on("console", lambda text: wrong.append(text.text) if text.type == "error" else None)
