@@ -11,7 +11,7 @@ RUN = $(VENV)/bin/python -m
 STAMP = $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo train test lint format docs linkcheck lock clean
+.PHONY: help demo page train test lint format docs linkcheck lock clean
 
 help: ## list the targets
 	@echo "usage: make TARGET [ARGS='...'] [PYTHON=python3.11]"
@@ -19,6 +19,9 @@ help: ## list the targets
 
 demo: $(STAMP) ## drive one robot through several preferences, and film it
 	@$(RUN) recipes.demo $(ARGS)
+
+page: $(STAMP) ## build a page to play with in a browser: runs/page/index.html
+	@$(RUN) recipes.page $(ARGS)
 
 train: $(STAMP) ## train a policy from nothing as the shipped one, ARGS="--pd-morl seed=1" overrides
 	@$(RUN) recipes.train $(ARGS)

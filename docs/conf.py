@@ -12,6 +12,8 @@ from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
 import torchrl_morl
+from recipes.page.contents import SCENES, SHIPPED, contents
+from recipes.page.html import html
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
@@ -55,9 +57,14 @@ ELSEWHERE = {
 """Pages outside of this folder, and where the site has them."""
 
 
+PLAY = "play.html"
+"""Where the site has the page to play with."""
+
+
 def setup(app: Sphinx) -> None:
     """Links of the pages hold on GitHub, on the site some files are elsewhere; equations need no script."""
     app.connect("source-read", _read)
+    app.connect("build-finished", _build_play)
     app.add_html_math_renderer("mathml", (_equation, None), (_equation, None))
 
 
@@ -78,7 +85,15 @@ def _read(app: Sphinx, docname: str, source: list[str]) -> None:
         if docname != "index" and page == DOCS / inside:
             source[0] = _moved((ROOT / outside).read_text(), ROOT / outside, page)
             return
-    source[0] = _moved(source[0], page, page)
+    source[0] = _moved(source[0], page, page).replace(
+        "<!-- play -->",
+        f'<a href="{os.path.relpath(DOCS / PLAY, page.parent)}">Play with it here.</a>',
+    )
+
+
+def _build_play(app: Sphinx, exception: Exception | None) -> None:
+    if exception is None and app.builder.format == "html":
+        (Path(app.outdir) / PLAY).write_text(html(contents(SHIPPED, SCENES)))
 
 
 def _moved(text: str, source: Path, page: Path) -> str:

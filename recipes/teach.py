@@ -328,7 +328,11 @@ def draw(path: Path, results: Comparison) -> None:
     """The drives that were shown, and those of every corner preference, in scenes without boxes."""
     objectives = known(results.free)
     fig, axes = plt.subplots(
-        1, 1 + len(objectives), figsize=(3.6 * (1 + len(objectives)), 3.6), sharex=True, sharey=True
+        *(1, 1 + len(objectives)),
+        figsize=(3.6 * (1 + len(objectives)), 3.9),
+        sharex=True,
+        sharey=True,
+        layout="constrained",
     )
     panels = [("your drives", "black", results.shown)]
     panels += [(f"{one.label} = 1", one.color, results.free[one.name]) for one in objectives]
@@ -352,7 +356,6 @@ def draw(path: Path, results: Comparison) -> None:
         f"{results.shown.side}, as you did.",
         fontsize=11,
     )
-    fig.tight_layout(h_pad=0.5)
     fig.savefig(path, dpi=110)
     plt.close(fig)
 

@@ -1,0 +1,101 @@
+// A policy of torchrl_morl.deploy: its safetensors, its features and its network.
+import { sectors } from "./lidar.js";
+
+/** The bytes of a base64 text. */
+export function bytes(base64) {
+  return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+}
+
+/**
+ * Tensors of a safetensors file by name: { shape, values }. Only float32, which shipped policies are.
+ *
+ * https://github.com/huggingface/safetensors#format
+ */
+export function readSafetensors(file) {
+  const size = Number(new DataView(file.buffer, file.byteOffset).getBigUint64(0, true));
+  const header = JSON.parse(new TextDecoder().decode(file.subarray(8, 8 + size)));
+  const tensors = {};
+  for (const [name, entry] of Object.entries(header)) {
+    if (name === "__metadata__") continue;
+    if (entry.dtype !== "F32") throw new Error(`${name}: F32 is read alone, got ${entry.dtype}.`);
+    const [from, to] = entry.data_offsets;
+    // A copy: the file need not be aligned.
+    const part = file.slice(8 + size + from, 8 + size + to);
+    tensors[name] = { shape: entry.shape, values: new Float32Array(part.buffer) };
+  }
+  return tensors;
+}
+
+/** Linear layers with ReLU between them and tanh behind the last, of a policy's file. */
+function readLayers(file) {
+  const tensors = readSafetensors(file);
+  const names = Object.keys(tensors).filter((name) => /^module\.0\.module\.\d+\.weight$/.test(name));
+  const index = (name) => Number(name.split(".")[3]);
+  return names
+    .sort((a, b) => index(a) - index(b))
+    .map((name) => ({
+      inputs: tensors[name].shape[1],
+      weight: tensors[name].values,
+      bias: tensors[name.replace(/weight$/, "bias")].values,
+      output: new Float32Array(tensors[name].shape[0]),
+    }));
+}
+
+/** `description` is what a policy.json holds beside its card, `file` the bytes of its policy.safetensors. */
+export class Policy {
+  constructor(description, file) {
+    this.sensing = description.sensing;
+    this.limits = description.limits;
+    /** Names of the objectives that a preference weighs, in its order. */
+    this.tunable = description.objectives.filter((name) => !(name in description.static));
+    this.layers = readLayers(file);
+  }
+
+  /**
+   * What the network reads of what is sensed.
+   *
+   * With `clamped`, distances beyond those of the training read as the furthest of them, as in
+   * `policy.act`; NavigationEnv's episodes need no such thing.
+   */
+  observation({ scan, goal, human, humanVelocity }, { clamped = false } = {}) {
+    const s = this.sensing;
+    const out = Array.from(sectors(scan, s.num_sectors), (range) =>
+      Math.log(Math.max(range / s.max_range, 1e-3 / s.max_range)) / 3,
+    );
+    const position = ([distance, bearing], scale, furthest) => {
+      const near = clamped ? Math.min(distance, furthest) : distance;
+      out.push(near / scale, Math.sin(bearing), Math.cos(bearing));
+    };
+    position(goal, s.goal_scale, s.goal_range[1]);
+    if (s.observe_human) position(human, s.human_scale, s.human_range[1]);
+    if (s.observe_human_velocity) out.push(...humanVelocity);
+    return out;
+  }
+
+  /** The network alone: an observation and a preference to an action in [-1, 1]. */
+  action(observation, preference) {
+    let values = Float32Array.from([...observation, ...preference]);
+    this.layers.forEach(({ inputs, weight, bias, output }, layer) => {
+      const last = layer === this.layers.length - 1;
+      for (let row = 0, place = 0; row < output.length; row++) {
+        let sum = bias[row];
+        for (let column = 0; column < inputs; column++) sum += weight[place++] * values[column];
+        output[row] = last ? Math.tanh(sum) : Math.max(sum, 0);
+      }
+      values = output;
+    });
+    return [values[0], values[1]];
+  }
+
+  /** From what is sensed to a command [m/s, rad/s]. */
+  command(sensed, preference, options) {
+    return this.physical(this.action(this.observation(sensed, options), preference));
+  }
+
+  /** An action in [-1, 1] as a command. */
+  physical(action) {
+    return [this.limits.speed, this.limits.turn_rate].map(([low, high], entry) =>
+      Math.fround((high + low) / 2 + ((high - low) / 2) * action[entry]),
+    );
+  }
+}

@@ -1,0 +1,64 @@
+// The state of a session in the part of an address behind #, and back.
+
+const MOTIONS = ["stands", "walks", "crosses"];
+
+function numbers(text, count) {
+  const values = text.split(",").map(Number);
+  const fine = values.length === count && text.trim() !== "" && values.every(Number.isFinite);
+  return fine ? values : null;
+}
+
+/** What a session is set to, as text: only what differs from what it starts with. */
+export function encode(state) {
+  const out = new URLSearchParams();
+  out.set("scene", state.scene);
+  out.set("seed", state.seed);
+  out.set("weights", state.preference.map((weight) => Number(weight.toFixed(3))).join(","));
+  out.set("policy", state.policy);
+  out.set("person", state.motion);
+  for (const [name, [x, y]] of Object.entries(state.moved)) {
+    out.set(name, `${x.toFixed(2)},${y.toFixed(2)}`);
+  }
+  return out.toString().replaceAll("%2C", ",");
+}
+
+/**
+ * What a text says, as far as it says something that there is; the rest is named in `refused`.
+ *
+ * `known` has `scenes`, name to { first_seed, scenes }, and `policies`, name to the number of weights.
+ */
+export function decode(text, known) {
+  const state = { moved: {} };
+  const refused = [];
+  for (const [name, value] of new URLSearchParams(text.replace(/^#/, ""))) {
+    const refuse = () => refused.push(`${name}=${value.slice(0, 40)}`);
+    if (name === "scene" && Object.hasOwn(known.scenes, value)) state.scene = value;
+    else if (name === "seed" && /^\d{1,9}$/.test(value)) state.seed = Number(value);
+    else if (name === "policy" && Object.hasOwn(known.policies, value)) state.policy = value;
+    else if (name === "person" && MOTIONS.includes(value)) state.motion = value;
+    else if (name === "weights") {
+      const weights = value.split(",").map(Number);
+      const total = weights.reduce((sum, one) => sum + one, 0);
+      if (total > 0 && weights.every((one) => Number.isFinite(one) && one >= 0)) {
+        state.preference = weights.map((one) => one / total);
+      } else refuse();
+    } else if (/^(human|goal|box\d)$/.test(name)) {
+      const place = numbers(value, 2);
+      if (place && place.every((one) => Math.abs(one) <= 20)) state.moved[name] = place;
+      else refuse();
+    } else refuse();
+  }
+  // What depends on another entry.
+  const scene = known.scenes[state.scene ?? Object.keys(known.scenes)[0]];
+  const last = scene.first_seed + scene.scenes.length - 1;
+  if (state.seed !== undefined && (state.seed < scene.first_seed || state.seed > last)) {
+    refused.push(`seed=${state.seed}`);
+    delete state.seed;
+  }
+  const weights = known.policies[state.policy ?? Object.keys(known.policies)[0]];
+  if (state.preference && state.preference.length !== weights) {
+    refused.push("weights");
+    delete state.preference;
+  }
+  return { state, refused };
+}

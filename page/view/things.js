@@ -1,0 +1,181 @@
+// What stands on the floor, and what the robot sees of it. Each is drawn on a Floor.
+import { HUMAN_RADIUS } from "../simulation/episode.js";
+import { NUM_RAYS } from "../simulation/lidar.js";
+import { css, mixture } from "./colors.js";
+
+export function drawRing(floor, place, radius) {
+  const { context: c, theme } = floor;
+  const [x, y] = floor.at(place);
+  c.fillStyle = theme.faint;
+  c.beginPath();
+  c.arc(x, y, radius * floor.scale, 0, 2 * Math.PI);
+  c.fill();
+  c.fillStyle = theme.quiet;
+  c.font = "12px system-ui, sans-serif";
+  c.textAlign = "center";
+  c.fillText(`${radius} m`, x, y + radius * floor.scale - 7);
+  c.textAlign = "start";
+}
+
+export function drawLidar(floor) {
+  const { context: c, theme, session } = floor;
+  const { body, robot } = session.episode;
+  const origin = [
+    body.x + robot.lidar_offset * Math.cos(body.heading),
+    body.y + robot.lidar_offset * Math.sin(body.heading),
+  ];
+  c.beginPath();
+  for (let ray = 0; ray < NUM_RAYS; ray += 2) {
+    const angle = body.heading + (2 * Math.PI * ray) / NUM_RAYS;
+    const range = session.scan[ray];
+    c.lineTo(
+      ...floor.at([origin[0] + range * Math.cos(angle), origin[1] + range * Math.sin(angle)]),
+    );
+  }
+  c.closePath();
+  c.fillStyle = theme.lidar;
+  c.fill();
+  c.strokeStyle = theme.lidarEdge;
+  c.lineWidth = 1;
+  c.stroke();
+}
+
+export function drawGoal(floor, place) {
+  const { context: c, theme, session } = floor;
+  const [x, y] = floor.at(place);
+  const r = session.episode.limits.goalRadius * floor.scale;
+  c.fillStyle = theme.goal;
+  c.beginPath();
+  c.arc(x, y, r, 0, 2 * Math.PI);
+  c.fill();
+  c.strokeStyle = theme.ink;
+  c.lineWidth = 1.5;
+  c.setLineDash([4, 4]);
+  c.stroke();
+  c.setLineDash([]);
+  const pole = Math.max(0.62 * floor.scale, 30);
+  c.lineWidth = 2.5;
+  c.beginPath();
+  c.moveTo(x, y);
+  c.lineTo(x, y - pole);
+  c.stroke();
+  c.fillStyle = theme.ink;
+  c.beginPath();
+  c.moveTo(x, y - pole);
+  c.lineTo(x + 0.55 * pole, y - 0.8 * pole);
+  c.lineTo(x, y - 0.6 * pole);
+  c.fill();
+  held(floor, "goal", x, y, r);
+}
+
+export function drawBox(floor, box, name) {
+  const { context: c, theme } = floor;
+  const [x, y] = floor.at(box);
+  c.save();
+  c.translate(x, y);
+  c.rotate(-box[2]);
+  const [w, h] = [box[3] * floor.scale, box[4] * floor.scale];
+  c.fillStyle = theme.box;
+  c.strokeStyle = theme.boxEdge;
+  c.lineWidth = 1.5;
+  c.beginPath();
+  c.roundRect(-w, -h, 2 * w, 2 * h, Math.min(5, w, h));
+  c.fill();
+  c.stroke();
+  c.restore();
+  held(floor, name, x, y, Math.hypot(box[3], box[4]) * floor.scale);
+}
+
+export function drawHuman(floor, place) {
+  const { context: c, theme, session } = floor;
+  const [x, y] = floor.at(place);
+  const r = HUMAN_RADIUS * floor.scale;
+  const [gx, gy] = session.episode.humanGoal;
+  const walks = session.episode.humanSpeed > 0 && Math.hypot(gx - place[0], gy - place[1]) > 0.05;
+  const heading = walks ? Math.atan2(gy - place[1], gx - place[0]) : (place[2] ?? 0);
+  if (walks) floor.line([place, [gx, gy]], theme.ink, 1.2, [2, 6], 0.6);
+  c.fillStyle = theme.human;
+  c.globalAlpha = 0.22;
+  c.beginPath();
+  c.arc(x, y, r, 0, 2 * Math.PI);
+  c.fill();
+  c.globalAlpha = 1;
+  c.save();
+  c.translate(x, y);
+  c.rotate(-heading);
+  c.beginPath(); // shoulders
+  c.ellipse(0, 0, 0.5 * r, 0.98 * r, 0, 0, 2 * Math.PI);
+  c.fill();
+  c.fillStyle = theme.head;
+  c.strokeStyle = theme.human;
+  c.lineWidth = 1.5;
+  c.beginPath();
+  c.moveTo(0.46 * r, 0.2 * r); // a nose
+  c.lineTo(0.74 * r, 0);
+  c.lineTo(0.46 * r, -0.2 * r);
+  c.arc(0, 0, 0.5 * r, -0.4, 0.4, true);
+  c.closePath();
+  c.fill();
+  c.stroke();
+  c.restore();
+  held(floor, "human", x, y, r);
+  c.font = "12px system-ui, sans-serif";
+  c.textAlign = "center";
+  c.fillStyle = theme.quiet;
+  c.fillText("person", x, y + r + 16);
+  c.textAlign = "start";
+}
+
+function held(floor, name, x, y, radius) {
+  if (floor.selected !== name) return;
+  const { context: c, theme } = floor;
+  c.strokeStyle = theme.focus;
+  c.lineWidth = 2.5;
+  c.beginPath();
+  c.arc(x, y, radius + 7, 0, 2 * Math.PI);
+  c.stroke();
+}
+
+export function drawRobot(floor, [px, py, heading]) {
+  const { context: c, theme, session } = floor;
+  const [x, y] = floor.at([px, py]);
+  const r = Math.max(session.contents.robot.radius * floor.scale, 9);
+  c.save();
+  c.translate(x, y);
+  c.rotate(-heading);
+  // Whoever drives by hand follows no preference.
+  c.fillStyle = session.driver ? theme.quiet : css(mixture(session.preference, theme.corners));
+  c.strokeStyle = theme.floor;
+  c.lineWidth = 3;
+  c.beginPath();
+  c.arc(0, 0, r + 4, 0, 2 * Math.PI);
+  c.stroke();
+  c.fill();
+  c.fillStyle = theme.robot;
+  c.beginPath();
+  c.arc(0, 0, 0.86 * r, 0, 2 * Math.PI);
+  c.fill();
+  c.fillStyle = theme.nose;
+  c.beginPath();
+  c.moveTo(0.72 * r, 0);
+  c.lineTo(-0.3 * r, 0.5 * r);
+  c.lineTo(-0.08 * r, 0);
+  c.lineTo(-0.3 * r, -0.5 * r);
+  c.closePath();
+  c.fill();
+  c.restore();
+}
+
+export function drawTarget(floor) {
+  const { context: c, theme } = floor;
+  const [x, y] = floor.at(floor.target);
+  c.strokeStyle = theme.focus;
+  c.lineWidth = 2;
+  c.beginPath();
+  c.arc(x, y, 11, 0, 2 * Math.PI);
+  c.moveTo(x - 16, y);
+  c.lineTo(x + 16, y);
+  c.moveTo(x, y - 16);
+  c.lineTo(x, y + 16);
+  c.stroke();
+}

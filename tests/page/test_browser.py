@@ -1,0 +1,275 @@
+"""Somebody opens the page, drags, types and records: in a real browser, without a window.
+
+The page's clock depends on the machine. The tests hold it and make control steps themselves.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from envs.demonstrations import import_demonstrations
+
+SHOWCASE = "#scene=showcase&policy=navigation&person=stands"
+
+
+@pytest.fixture
+def opened(browser, page_file):
+    """A function that opens the page, with a link's part behind ``#``; afterwards nothing has gone wrong."""
+    contexts, wrong, asked = [], [], []
+
+    def open_page(link: str = SHOWCASE, width: int = 1280, height: int = 800, **kwargs):
+        context = browser.new_context(viewport={"width": width, "height": height}, **kwargs)
+        contexts.append(context)
+        context.set_default_timeout(120_000)  # a loaded machine takes its time
+        page = context.new_page()
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda text: wrong.append(text.text) if text.type == "error" else None)
+        page.on("request", lambda request: asked.append(request.url.split(":")[0]))
+        page.goto(page_file.as_uri() + link)
+        page.wait_for_function("window.page")
+        page.evaluate("page.session.playing = false; page.session.restart()")
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert wrong == []
+    assert set(asked) <= {"file", "blob", "data"}  # it needs nobody
+
+
+def drive(page, steps: int = 300) -> np.ndarray:
+    """The robot's places ``[T, 2]`` in the next control steps, as far as the episode goes."""
+    code = "n => { const s = page.session; for (let i = 0; i < n && !s.episode.ending; i++) s.step(); return s.points; }"
+    return np.array(page.evaluate(code, steps))
+
+
+def drag(page, start, end) -> None:
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(*((a + b) / 2 for a, b in zip(start, end)))
+    page.mouse.move(*end)
+    page.mouse.up()
+
+
+def on_floor(page, x: float, y: float) -> list[float]:
+    """Where a place of the floor is in the window, pixels."""
+    code = """([x, y]) => {
+        const [px, py] = page.floor.at([x, y]);
+        const frame = page.floor.canvas.getBoundingClientRect();
+        return [px + frame.left, py + frame.top];
+    }"""
+    return page.evaluate(code, [x, y])
+
+
+def corners(page) -> list[tuple[float, float]]:
+    """Of the triangle in the window, pixels: demonstration, distance, efficiency."""
+    frame = page.locator("#triangle canvas").bounding_box()
+    bottom = frame["y"] + frame["height"] - 1
+    right = frame["x"] + frame["width"] - 1
+    return [
+        (frame["x"] + frame["width"] / 2, frame["y"] + 1),
+        (frame["x"] + 1, bottom),
+        (right, bottom),
+    ]
+
+
+def test_the_robot_answers_to_the_triangle(opened):
+    """Dragged on the way from fast to far, it keeps away from there on, in the same scene."""
+    page = opened(SHOWCASE + "&weights=0,0,1")
+    assert page.evaluate("page.session.preference") == [0, 0, 1]
+    drive(page, 15)
+    fast = page.evaluate("structuredClone(page.session.episode.moment())")
+    drag(page, corners(page)[2], corners(page)[1])
+    assert page.evaluate("page.session.preference") == [0, 1, 0]
+    assert page.locator("#weights output").all_inner_texts() == ["0 %", "100 %", "0 %"]
+    path = drive(page)
+    assert page.evaluate("page.session.episode.ending") == "goal"
+    assert page.evaluate("page.session.nearest") > 1.2  # metres
+    page.evaluate("page.session.restart(); page.session.preference = [0, 0, 1]")
+    other = drive(page)
+    assert np.allclose(path[:16], other[:16])  # until the dot was dragged
+    assert page.evaluate("page.session.nearest") < 1.0
+    assert fast["elapsed"] == 15
+
+
+def test_the_robot_answers_to_the_person(opened):
+    page = opened(SHOWCASE + "&weights=0,0,1")
+    before = drive(page)
+    page.evaluate("page.session.restart()")
+    drive(page, 10)
+    drag(page, on_floor(page, 4.5, 0), on_floor(page, 4.5, 0.8))
+    human = page.evaluate("page.session.episode.human")
+    assert np.allclose(human[:2], [4.5, 0.8], atol=0.03)
+    after = drive(page)
+    assert page.evaluate("page.session.episode.ending") == "goal"
+    # It was to pass on the left of the person; now there is more room on the right.
+    assert beside(before) > 0.4
+    assert beside(after) < 0.2
+    assert "human=4.5" in page.evaluate("location.hash")
+
+
+def beside(path: np.ndarray) -> float:
+    """How far to the left of the straight way it passes x = 4.5 m."""
+    return float(np.interp(4.5, path[:, 0], path[:, 1]))
+
+
+def test_the_goal_and_the_boxes_can_be_dragged(opened):
+    page = opened()
+    drag(page, on_floor(page, 9, 0), on_floor(page, 8, 2))
+    drag(page, on_floor(page, 1.9, 1.9), on_floor(page, 2.4, -1.5))
+    assert np.allclose(page.evaluate("page.session.episode.goal"), [8, 2], atol=0.03)
+    assert np.allclose(page.evaluate("page.session.episode.boxes[0]")[:2], [2.4, -1.5], atol=0.03)
+    path = drive(page)
+    assert page.evaluate("page.session.episode.ending") == "goal"
+    assert np.hypot(*(path[-1] - [8, 2])) < 0.31
+
+
+def test_previews_show_where_each_corner_would_go(opened):
+    page = opened()
+    drive(page, 10)
+    page.wait_for_function("page.previews.ways.length === 3")
+    ways = page.evaluate("page.previews.ways")
+    assert [way["ending"] for way in ways] == ["goal"] * 3
+    nearest = [min(math.hypot(x - 4.5, y) for x, y in way["points"]) for way in ways]
+    assert nearest[1] > nearest[0] + 0.3  # far from the person
+    assert nearest[1] > nearest[2] + 0.3
+    # The broad line is where it goes, and follows the dot also while all stands still.
+    page.evaluate("page.session.playing = false")
+    drag(page, corners(page)[2], corners(page)[1])
+    page.wait_for_function(
+        "JSON.stringify(page.previews.own) === JSON.stringify(page.previews.ways[1])"
+    )
+    assert len(ways[2]["points"]) <= min(len(ways[0]["points"]), len(ways[1]["points"]))  # fast
+
+
+def test_keys_do_what_pointers_do(opened):
+    page = opened()
+    page.keyboard.press("2")
+    assert page.evaluate("page.session.preference") == [0, 1, 0]
+    dot = page.get_by_role("slider", name="What matters")
+    dot.focus()
+    page.keyboard.press("ArrowUp")
+    weights = page.evaluate("page.session.preference")
+    assert weights[0] > 0.04
+    assert sum(weights) == pytest.approx(1)
+    assert dot.get_attribute("aria-valuetext").startswith("like the demonstration")
+    page.locator("#floor").focus()
+    page.keyboard.press("Enter")
+    page.keyboard.press("ArrowDown")
+    assert page.evaluate("page.session.episode.human")[1] == pytest.approx(-0.1, abs=1e-6)
+    assert "the person" in page.locator("#status").inner_text()
+    page.keyboard.press("Escape")
+    page.keyboard.press("Space")
+    assert page.evaluate("page.session.playing")
+
+
+def test_a_link_carries_the_state(opened):
+    page = opened()
+    page.select_option("#scene", "static")
+    page.fill("#seed", "9")
+    page.locator("#seed").press("Enter")
+    page.keyboard.press("Tab")
+    page.select_option("#motion", "crosses")
+    page.keyboard.press("Escape")
+    page.evaluate("page.session.move('goal', 7, 1)")
+    page.locator("#weights input").nth(1).fill("60")
+    link = page.evaluate("location.hash")
+    # People who walk are for the policy that was trained with them.
+    assert "policy=moving_humans" in link
+    code = "[page.session.scene, page.session.policyName, page.session.preference.map((w) => Math.round(1000 * w))]"
+    assert opened(link).evaluate(code) == page.evaluate(code)
+
+
+def test_a_link_that_is_none_opens_the_page_and_says_so(opened):
+    page = opened("#scene=moon&seed=x&weights=1,nan,0&goal=1e9,0&human=2,1")
+    assert page.evaluate("page.session.sceneName") == "showcase"
+    assert page.evaluate("page.session.episode.human.slice(0, 2)") == [2, 1]
+    said = page.locator("#status").inner_text()
+    assert all(part in said for part in ("scene=moon", "seed=x", "weights=1,nan,0", "goal=1e9,0"))
+
+
+def test_a_person_walks_and_crosses(opened):
+    page = opened("#scene=moving_human&seed=8")
+    assert page.evaluate("page.session.policyName") == "moving_humans"
+    before = page.evaluate("page.session.episode.human")
+    drive(page, 10)
+    after = page.evaluate("page.session.episode.human")
+    assert before[0] - after[0] == pytest.approx(1.0, abs=1e-6)  # 10 steps of 0.2 s at 0.5 m/s
+    page.select_option("#motion", "crosses")
+    ys = []
+    for _ in range(6):
+        page.evaluate("for (let i = 0; i < 10; i++) page.session.episode.step([0, 0])")
+        ys.append(page.evaluate("page.session.episode.human")[1])
+    assert max(ys) - min(ys) > 3
+    assert min(np.diff(ys)) < 0 < max(np.diff(ys))  # there and back
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_fits_the_window_and_follows_the_scheme(opened, width, scheme):
+    page = opened(width=width, color_scheme=scheme, has_touch=width < 400)
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    assert page.evaluate("document.documentElement.dataset.theme") == scheme
+    # The floor and the whole triangle are seen at once on a phone of 844 points.
+    frame = page.locator("#triangle").bounding_box()
+    assert frame["y"] + frame["height"] < 844
+    page.locator("#theme").click()
+    assert page.evaluate("document.documentElement.dataset.theme") != scheme
+
+
+def test_fingers_drag_the_dot(opened):
+    page = opened(width=390, height=844, has_touch=True)
+    page.touchscreen.tap(*corners(page)[1])
+    assert page.evaluate("page.session.preference") == [0, 1, 0]
+
+
+def test_what_is_recorded_is_imported(opened, tmp_path):
+    """Two drives, one with the pointer and one with keys, and one that fails; the file goes to the importer."""
+    page = opened()
+    page.get_by_role("button", name="You drive").click()
+    page.evaluate("page.session.playing = false")
+    assert page.evaluate("page.session.sceneName") == "empty"
+    for _ in range(2):
+        goal, human = page.evaluate("[page.session.episode.goal, page.session.episode.human]")
+        page.mouse.move(*on_floor(page, 0.8, 0.0))
+        page.mouse.down()
+        for spot in ((human[0], human[1] - 1.5), (goal[0], goal[1])):
+            page.mouse.move(*on_floor(page, *spot))
+            code = """([x, y]) => {
+                const { session } = page;
+                const near = () => Math.hypot(session.episode.body.x - x, session.episode.body.y - y) < 0.4;
+                while (!session.episode.ending && !near()) session.step();
+                if (near()) for (let i = 0; i < 40 && !session.episode.ending && x > 5.9; i++) session.step();
+            }"""
+            page.evaluate(code, list(spot))
+        page.mouse.up()
+        assert page.evaluate("page.session.episode.ending") == "goal"
+        page.evaluate("page.session.next()")
+    page.keyboard.down("ArrowUp")  # straight on: into the person, or past them
+    drive(page)
+    page.keyboard.up("ArrowUp")
+    kept = page.evaluate("page.recorder.drives.kept.length")
+    assert kept in (2, 3)
+    with page.expect_download() as download:
+        page.get_by_role("button", name=f"Download {kept} drives").click()
+    file = tmp_path / "drives.csv"
+    download.value.save_as(file)
+    drives, report = import_demonstrations(file)
+    assert len(drives) == kept, str(report)
+    assert "on the right" in page.locator("#drives li").first.inner_text()
+
+
+def test_time_waits_for_the_driver(opened):
+    page = opened()
+    page.get_by_role("button", name="You drive").click()
+    page.wait_for_timeout(600)
+    assert page.evaluate("page.session.seconds") == 0
+    page.keyboard.down("w")
+    page.wait_for_function("page.session.seconds > 0.3")
+    page.keyboard.up("w")
+    waited = page.evaluate("page.session.seconds")
+    page.wait_for_timeout(600)
+    assert page.evaluate("page.session.seconds") <= waited + 0.21
