@@ -2,6 +2,7 @@
 
 from .config import literal_config, training_config
 from .graph import PolicyGraph
+from .hub import from_hub, push_to_hub
 from .lidar import LidarGeometry
 from .onnx_export import export_onnx, training_lidar
 from .policy import Policy
@@ -19,9 +20,11 @@ __all__ = [
     "PolicyRunner",
     "Sensing",
     "export_onnx",
+    "from_hub",
     "literal_config",
     "load_policy",
     "load_reward_model",
+    "push_to_hub",
     "save_policy",
     "save_reward_model",
     "training_config",
