@@ -39,8 +39,7 @@ class SectorMinima(nn.Module):
         self.max_range, self.unknown_range = sensing.max_range, sensing.unknown_range
         x, y, _ = lidar.mount
         self.ahead, self.left = x - sensing.lidar_origin[0], y - sensing.lidar_origin[1]
-        # One sector is all directions, from wherever they are seen.
-        self.centred = math.hypot(self.ahead, self.left) < 1e-9 or self.num_sectors == 1
+        self.centred = math.hypot(self.ahead, self.left) < 1e-9
         if self.centred:
             self.register_buffer("beams", _beams_of_sectors(lidar, sensing.num_sectors))
             return
@@ -79,6 +78,8 @@ class SectorMinima(nn.Module):
         distance = (x.square() + y.square()).sqrt().clamp_max(self.max_range)
         distance = torch.where(free, self.max_range, distance)
         distance = torch.where(valid, distance, math.inf).unsqueeze(-2)
+        if self.num_sectors == 1:  # it starts where it ends
+            return distance.amin(-1)
         # At the origin itself there is no direction; atan2 says straight ahead.
         x = torch.where((x == 0) & (y == 0), 1.0, x).unsqueeze(-2)
         y = y.unsqueeze(-2)
