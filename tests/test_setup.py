@@ -89,7 +89,7 @@ def test_direct_dependency_runs_on_the_oldest_python(requirement: Requirement) -
 
 
 def test_extras_are_those_of_the_wheel_and_the_rest_are_groups() -> None:
-    assert EXTRAS.keys() == {"viz", "indicators"}
+    assert EXTRAS.keys() == {"viz", "indicators", "export", "hub"}
     assert GROUPS.keys() == {"sim", "recipes", "references", "test", "docs", "dev"}
 
 
@@ -140,12 +140,12 @@ def imported_names(package: str) -> dict[str, set[str]]:
 @pytest.mark.parametrize(
     ("package", "extras", "group"),
     [
-        ("torchrl_morl", ("viz", "indicators"), None),
+        ("torchrl_morl", ("viz", "indicators", "export", "hub"), None),
         ("envs", (), "sim"),
         ("recipes", ("viz", "indicators"), "recipes"),
         ("examples", ("viz", "indicators"), "recipes"),
-        ("tests", ("viz", "indicators"), "test"),
-        ("benchmarks", ("viz", "indicators"), "dev"),
+        ("tests", ("viz", "indicators", "export", "hub"), "test"),
+        ("benchmarks", ("viz", "indicators", "export", "hub"), "dev"),
     ],
 )
 def test_what_a_package_imports_is_declared(

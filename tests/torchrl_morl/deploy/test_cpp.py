@@ -15,7 +15,7 @@ import pytest
 import torch
 from torchrl.data import Bounded
 
-from benchmarks.cpp_library import CppRunner, build, compiler
+from benchmarks.cpp_library import SOURCES, CppRunner, build, compiler
 from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy, save_policy
 from torchrl_morl.modules import make_actor
 from torchrl_morl.preferences import PreferenceSpace
@@ -288,3 +288,22 @@ def test_the_example_drives_to_its_goal_and_names_mistakes(tmp_path):
     assert mistake.returncode == 2
     assert mistake.stderr.startswith("drive: error: ") and mistake.stderr.count("\n") == 1
     assert drive().stderr.startswith("usage: drive POLICY WEIGHT")
+
+
+def test_the_program_of_the_page_commands_what_the_runner_does(tmp_path):
+    page = (ROOT / "docs" / "how_to" / "export.md").read_text()
+    (block,) = [code.split("```")[0] for code in page.split("```cpp\n")[1:]]
+    (tmp_path / "page.cpp").write_text(block)
+    program = build(str(tmp_path / "page.cpp"), tmp_path / "page", f"-I{SOURCES}")
+    run = subprocess.run([str(program)], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    lidar = LidarGeometry(-math.pi, math.pi / 180, 360, 0.12, 3.5, mount=(0.05, 0.0, 0.0))
+    expected = PolicyRunner(load_policy(NAVIGATION), lidar=lidar).step(
+        np.full(360, 2.0),
+        goal=(6.0, 0.3),
+        human=(2.5, -0.4),
+        preference=(0.2, 0.5, 0.3),
+        stamp=0.0,
+        time=0.0,
+    )
+    shown = f"{expected.speed:.3f} m/s, {expected.turn_rate:.3f} rad/s, drive\n"
+    assert run.stdout == shown
