@@ -256,9 +256,12 @@ class Policy {
     period = config.number("period");
     robot = config.text("robot");
     for (double positive :
-         {sensing.max_range, sensing.goal_scale, sensing.human_scale, period, static_cast<double>(sensing.num_sectors)})
+         {sensing.max_range, sensing.goal_scale, sensing.human_scale, sensing.unknown_range, sensing.goal_range.second,
+          sensing.human_range.second, sensing.nobody.first, period, static_cast<double>(sensing.num_sectors)})
       if (!(positive > 0))
-        throw files::broken("policy.json", "num_sectors, max_range, scales and period must be positive");
+        throw files::broken("policy.json", "num_sectors, ranges, scales, nobody and period must be positive");
+    if (!(speed.first < speed.second && turn_rate.first < turn_rate.second))
+      throw files::broken("policy.json", "limits must be in ascending order");
     for (const std::string& name : config.texts("objectives"))
       if (!config.object("static").has(name)) preference_names.push_back(name);
   }

@@ -218,6 +218,10 @@ def header(text: str) -> bytes:
         (lambda folder: changed(folder, period="fast"), "period must be a finite number"),
         (lambda folder: changed(folder, period=0), "must be positive"),
         (lambda folder: changed(folder, limits={"speed": [0]}), "speed must be 2 finite numbers"),
+        (
+            lambda folder: changed(folder, limits={"speed": [1, 0], "turn_rate": [-1, 1]}),
+            "limits must be in ascending order",
+        ),
         (lambda folder: changed(folder, objectives=["a", "b"]), "does not fit policy.json"),
         (spoil_weights, "is not the file that policy.json was written with"),
         (replace_weights(b"1"), "too short"),
