@@ -64,6 +64,9 @@ def extras(site: Path) -> None:
     import torch
 
     evaluation = importlib.import_module("torchrl_morl.evaluation")
+    deploy = importlib.import_module("torchrl_morl.deploy")
+    policy = importlib.import_module("torchrl_morl.testing").untrained_policy()
+    lidar = deploy.training_lidar(policy)
     frames = torch.zeros(2, 240, 320, 3, dtype=torch.uint8)
     video = site / "nowhere" / "video"
     scene = {"start": [0, 0], "goal": [1, 0], "human": [0, 1, 0], "boxes": torch.zeros(1, 5)}
@@ -76,10 +79,13 @@ def extras(site: Path) -> None:
         ("draw_preference", "viz", "PIL", (frames, torch.ones(2, 1), ["a"]), {}),
         ("draw_scene", "viz", "matplotlib", (None,), {**scene, **radii}),
         ("draw_paths", "viz", "matplotlib", (None, *path), {}),
+        ("export_onnx", "export", "onnx", (policy, site / "policy.onnx"), {"lidar": lidar}),
+        ("from_hub", "hub", "huggingface_hub", ("name/policy",), {}),
     ):
         expected = f"{function} needs {package}: pip install 'torchrl-morl[{extra}]'."
         try:
-            getattr(evaluation, function)(*arguments, **keywords)
+            room = evaluation if hasattr(evaluation, function) else deploy
+            getattr(room, function)(*arguments, **keywords)
         except ImportError as error:
             assert str(error) == expected, str(error)
         else:

@@ -17,6 +17,7 @@ from packaging.utils import canonicalize_name
 import torchrl_morl
 
 ROOT = Path(__file__).resolve().parent.parent
+EXTRAS = {"viz", "indicators", "export", "hub"}
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 pytestmark = pytest.mark.skipif(
@@ -86,8 +87,8 @@ def test_it_holds_the_library_alone(site):
 def test_its_metadata_is_that_of_the_project(metadata):
     assert metadata.version == torchrl_morl.__version__
     assert metadata.metadata["Requires-Python"] == PROJECT["requires-python"]
-    assert set(metadata.metadata.get_all("Provides-Extra")) == {"viz", "indicators"}
-    assert "mujoco" not in closure(metadata, {"viz", "indicators"})
+    assert set(metadata.metadata.get_all("Provides-Extra")) == EXTRAS
+    assert "mujoco" not in closure(metadata, EXTRAS)
 
 
 def test_core_dependencies_alone_import_everything_and_the_rest_names_its_extra(
@@ -97,4 +98,4 @@ def test_core_dependencies_alone_import_everything_and_the_rest_names_its_extra(
 
 
 def test_docstring_examples_work_with_its_extras(site, metadata, tmp_path):
-    ask("with extras", site, metadata, {"viz", "indicators"}, tmp_path)
+    ask("with extras", site, metadata, EXTRAS, tmp_path)

@@ -2,13 +2,15 @@
 
 They are for the tests of your own losses, transforms and policies as well: :class:`VectorRewardMockEnv`
 has sensors, nested keys and any batch shape, and :func:`random_transitions` is a batch that every loss of
-this library and of TorchRL accepts. :func:`untrained_policy` is what a robot's own code is tested with.
+this library and of TorchRL accepts. :func:`untrained_policy` is what a robot's own code is tested with, :func:`sensor_readings`
+what it may be given.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
@@ -16,11 +18,11 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from torchrl_morl.deploy import Limits, Policy, Sensing
+from torchrl_morl.deploy import LidarGeometry, Limits, Policy, Sensing
 from torchrl_morl.modules import make_actor
 from torchrl_morl.preferences import PreferenceSpace
 
-__all__ = ["VectorRewardMockEnv", "random_transitions", "untrained_policy"]
+__all__ = ["VectorRewardMockEnv", "random_transitions", "sensor_readings", "untrained_policy"]
 
 
 def random_transitions(
@@ -120,6 +122,62 @@ def untrained_policy(
     actor.eval().requires_grad_(False)
     actor[0].module.check_preferences("preference", preference_space)
     return Policy(actor, preference_space, sensing, Limits(), 0.2, "untrained", {})
+
+
+def sensor_readings(
+    policy: Policy, lidar: LidarGeometry, batch: int, *, seed: int = 0
+) -> dict[str, np.ndarray]:
+    """What a robot may measure, good and bad, all of which a policy drives with.
+
+    Walls are 0.1 m to twice the trained range away, each some beams wide. Of the beams 2 % each are NaN, 0,
+    negative, infinite, minus infinity and beyond ``range_max``, and in every fourth scan a third of
+    them in a row is invalid. Goals and humans are up to twice as far away as in the training. The first
+    preferences are the corners of the simplex, the others are uniform on it.
+
+    Args:
+        policy: that will be given them.
+        lidar: of the robot.
+        batch: how many.
+
+    Keyword Args:
+        seed: of the draws.
+
+    Returns:
+        ``ranges`` ``[batch, num_beams]``, ``goal`` and ``human`` ``[batch, 2]`` (m, rad), ``human_velocity``
+        ``[batch, 2]`` (m/s) and ``preference`` ``[batch, T]``, all float32. ``human`` and ``human_velocity``
+        only for policies that read them.
+
+    Example:
+        >>> lidar = LidarGeometry(0.0, math.pi / 180, 360, range_min=0.1, range_max=8.0)
+        >>> readings = sensor_readings(untrained_policy(), lidar, 8)
+        >>> {name: value.shape for name, value in readings.items()}
+        {'ranges': (8, 360), 'goal': (8, 2), 'human': (8, 2), 'preference': (8, 3)}
+    """
+    rng, sensing, beams = np.random.default_rng(seed), policy.sensing, lidar.num_beams
+    wall = rng.integers(1, 40, (batch, beams)).cumsum(-1) // 400
+    distance = 0.1 * (20 * sensing.max_range) ** rng.random((batch, wall.max() + 1))
+    ranges = np.take_along_axis(distance, wall, -1) * rng.uniform(1.0, 1.05, wall.shape)
+    spoilt = rng.random(ranges.shape)
+    bad = (np.nan, 0.0, -1.0, np.inf, -np.inf, lidar.range_max + 0.5)
+    for index, value in enumerate(bad):
+        ranges[(spoilt >= 0.02 * index) & (spoilt < 0.02 * (index + 1))] = value
+    start = rng.integers(0, beams, (batch, 1))
+    hidden = (np.arange(beams) - start) % beams < beams // 3
+    ranges[hidden & (rng.random((batch, 1)) < 0.25)] = np.nan
+
+    def positions(furthest: float) -> np.ndarray:
+        far = rng.uniform(0.01, 2 * furthest, batch)
+        return np.stack((far, rng.uniform(-2 * np.pi, 2 * np.pi, batch)), -1)
+
+    corners = np.eye(policy.preference_space.num_tunable)
+    preference = np.concatenate((corners, rng.dirichlet(corners[0] * 0 + 1, batch)))[:batch]
+    readings = {"ranges": ranges, "goal": positions(sensing.goal_range[1])}
+    if sensing.observe_human:
+        readings["human"] = positions(sensing.human_range[1])
+    if sensing.observe_human_velocity:
+        readings["human_velocity"] = rng.normal(0.0, 1.0, (batch, 2))
+    readings["preference"] = preference
+    return {name: value.astype(np.float32) for name, value in readings.items()}
 
 
 class VectorRewardMockEnv(EnvBase):

@@ -11,9 +11,13 @@ import pytest
 from recipes.outputs import choose_file
 
 pytestmark = pytest.mark.benchmark
+WALKING = Path(__file__).parents[2] / "recipes" / "policies" / "moving_humans"
 MODULES = ("collecting", "environment", "growth", "learner", "training_step")
 MISTAKES = [
-    *((name, ["--foo"], "unrecognized arguments: --foo") for name in (*MODULES, "lidars")),
+    *(
+        (name, ["--foo"], "unrecognized arguments: --foo")
+        for name in (*MODULES, "lidars", "parity")
+    ),
     ("environment", ["--seconds", "-1"], "--seconds: must be a number above 0, got '-1'"),
     ("environment", ["--num-threads", "-1"], "--num-threads: must be a whole number at least 0"),
     ("environment", ["--repetitions", "0"], "--repetitions must be at least 1"),
@@ -24,6 +28,9 @@ MISTAKES = [
     ("lidars", ["--seed", "-1"], "--seed: must be a whole number from"),
     ("lidars", ["--only", "sonar"], "--only sonar: no row is called so; there are native"),
     ("lidars", ["--policy", "nowhere"], "nowhere/policy.safetensors not found"),
+    ("parity", ["--inputs", "1"], "--inputs: must be a whole number at least 100, got '1'"),
+    ("parity", ["--policy", "nowhere"], "nowhere/policy.safetensors not found"),
+    ("parity", ["--policy", str(WALKING)], "reads velocities, which this does not compare"),
     ("time_to_quality", ["train", "nobody"], "invalid choice: 'nobody'"),
 ]
 

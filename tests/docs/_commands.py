@@ -25,7 +25,7 @@ STAGES = {"--drex": "drex", "--pd-morl": "pd_morl", "--mo-ppo": "mo_ppo"}
 """Options that pass fields on to a recipe."""
 
 HYDRA = {"--help", "--multirun", "-m", "--debug", "--cfg"}
-OURS = ("recipes", "benchmarks", "examples", "envs", "tools")
+OURS = ("torchrl_morl", "recipes", "benchmarks", "examples", "envs", "tools")
 
 
 class Command(NamedTuple):

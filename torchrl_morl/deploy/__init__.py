@@ -1,7 +1,10 @@
 """Policies and reward models outside training: what a robot runs, and files that are safe to open."""
 
 from .config import literal_config, training_config
+from .graph import PolicyGraph
+from .hub import from_hub, push_to_hub
 from .lidar import LidarGeometry
+from .onnx_export import export_onnx, training_lidar
 from .policy import Policy
 from .policy_files import load_policy, save_policy
 from .reward_model import load_reward_model, save_reward_model
@@ -13,12 +16,17 @@ __all__ = [
     "LidarGeometry",
     "Limits",
     "Policy",
+    "PolicyGraph",
     "PolicyRunner",
     "Sensing",
+    "export_onnx",
+    "from_hub",
     "literal_config",
     "load_policy",
     "load_reward_model",
+    "push_to_hub",
     "save_policy",
     "save_reward_model",
     "training_config",
+    "training_lidar",
 ]

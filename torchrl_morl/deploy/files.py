@@ -66,13 +66,11 @@ def whole_folder(folder: str | Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def write_module(folder: str | Path, kind: str, module: nn.Module, config: dict[str, Any]) -> Path:
-    """Write ``{kind}.safetensors`` and ``{kind}.json``.
+def weights_bytes(module: nn.Module) -> tuple[bytes, str]:
+    """The safetensors file of a module's weights, and their dtype. The same weights are the same bytes.
 
     Raises:
-        FileExistsError: if the folder exists and is not empty.
-        ValueError: for weights that could not be read again: of another dtype than float32 and
-            float64, of several, or not finite.
+        ValueError: for weights that could not be read again, see :func:`write_module`.
     """
     weights = {
         name: value.detach().cpu().clone(memory_format=torch.contiguous_format)
@@ -85,14 +83,25 @@ def write_module(folder: str | Path, kind: str, module: nn.Module, config: dict[
             "with .float() before saving."
         )
     check_finite(weights, list(weights))
-    data = save(weights)
+    return save(weights), dtypes[0]
+
+
+def write_module(folder: str | Path, kind: str, module: nn.Module, config: dict[str, Any]) -> Path:
+    """Write ``{kind}.safetensors`` and ``{kind}.json``.
+
+    Raises:
+        FileExistsError: if the folder exists and is not empty.
+        ValueError: for weights that could not be read again: of another dtype than float32 and
+            float64, of several, or not finite.
+    """
+    data, dtype = weights_bytes(module)
     checksum = hashlib.sha256(data).hexdigest()
-    config = {"format": FORMAT, "checksum": checksum, "dtype": dtypes[0], **config}
+    config = {"format": FORMAT, "checksum": checksum, "dtype": dtype, **config}
     text = json.dumps(null_for_nan(config), indent=2, allow_nan=False) + "\n"
     with whole_folder(folder) as partial:
         weights_file, config_file = paths(partial, kind)
-        _write(weights_file, data)
-        _write(config_file, text.encode())
+        write_new(weights_file, data)
+        write_new(config_file, text.encode())
     return Path(folder)
 
 
@@ -202,7 +211,12 @@ def _entry(entry: tuple[str, tuple[int, ...]] | None) -> str:
     return "nothing" if entry is None else f"{entry[0]} of shape {entry[1]}"
 
 
-def _write(path: Path, data: bytes) -> None:
+def write_new(path: Path, data: bytes) -> None:
+    """Write a file that does not exist yet, down to the disk.
+
+    Raises:
+        FileExistsError: if it does.
+    """
     with path.open("xb") as file:
         file.write(data)
         file.flush()

@@ -15,10 +15,20 @@ from torchrl_morl.arguments import is_number
 from .entries import one_line
 from .sensing import Sensing
 
-__all__ = ["LidarGeometry"]
+__all__ = ["LidarGeometry", "sector_of"]
 
-_EDGE = 1e-4
+SECTOR_EDGE = 1e-4
 """Share of a sector within which a beam before its start belongs to it: angles are rounded."""
+
+
+def sector_of(angle: np.ndarray, num_sectors: int) -> np.ndarray:
+    """Sectors in which angles (rad, from straight ahead) lie, before they are taken modulo their number.
+
+    Example:
+        >>> sector_of(np.array([0.0, 3.2, -0.1]), 4)
+        array([ 0.,  2., -1.])
+    """
+    return np.floor(angle * (num_sectors / (2 * math.pi)) + SECTOR_EDGE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,15 +127,16 @@ class LidarGeometry:
         ranges = self._array(ranges)
         batch = ranges.shape[:-1]
         ranges = ranges.reshape(-1, self.num_beams)
-        valid = (ranges >= self.range_min) & (ranges > 0)  # not NaN
+        near, far = self.thresholds
+        valid = (ranges >= near) & (ranges > 0)  # not NaN
         too_close = ranges == -math.inf
-        free = ranges >= self.range_max
+        free = ranges >= far
         length = np.where(too_close, self.range_min, np.where(free, max_range, ranges))
         valid |= too_close
         x, y, _ = self.mount
         ahead, left = x - origin[0], y - origin[1]
         if math.hypot(ahead, left) < 1e-9:
-            angle = np.broadcast_to(self._angles, ranges.shape)
+            angle = np.broadcast_to(self.angles, ranges.shape)
             length = np.minimum(length, max_range)
         else:
             with np.errstate(invalid="ignore"):
@@ -134,7 +145,7 @@ class LidarGeometry:
             angle = np.arctan2(point_y, point_x)
             length = np.where(free, max_range, np.minimum(np.hypot(point_x, point_y), max_range))
         with np.errstate(invalid="ignore"):
-            sector = np.floor(angle * (num_sectors / (2 * math.pi)) + _EDGE)
+            sector = sector_of(angle, num_sectors)
         out = np.full(len(ranges) * num_sectors, np.inf)
         row, beam = valid.nonzero()
         at = row * num_sectors + sector[row, beam].astype(np.int64) % num_sectors
@@ -149,7 +160,7 @@ class LidarGeometry:
             ValueError: if sectors within the field of view stay without a beam.
         """
         width = 2 * math.pi / sensing.num_sectors
-        if abs(self.increment) > width * (1 + _EDGE):
+        if abs(self.increment) > width * (1 + SECTOR_EDGE):
             raise ValueError(
                 f"lidar: beams every {math.degrees(abs(self.increment)):.1f} degrees leave sectors of "
                 f"{math.degrees(width):.1f} degrees without one: the policy needs at least "
@@ -157,13 +168,22 @@ class LidarGeometry:
             )
 
     @functools.cached_property
-    def _angles(self) -> np.ndarray:
+    def thresholds(self) -> tuple[float, float]:
+        """From where on a reading is valid, and from where on free, metres.
+
+        Drivers report float32: their 0.12 is a little less than 0.12, and 0.12 all the same.
+        """
+        near, far = (min(x, float(np.float32(x))) for x in (self.range_min, self.range_max))
+        return near, far
+
+    @functools.cached_property
+    def angles(self) -> np.ndarray:
         """Of the beams in the frame of the robot, radians."""
         return self.mount[2] + self.first_angle + self.increment * np.arange(self.num_beams)
 
     @functools.cached_property
     def _directions(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.cos(self._angles), np.sin(self._angles)
+        return np.cos(self.angles), np.sin(self.angles)
 
     def _array(self, ranges: ArrayLike) -> np.ndarray:
         if isinstance(ranges, np.ma.MaskedArray):

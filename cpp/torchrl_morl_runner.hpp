@@ -1,0 +1,132 @@
+// Drives a robot with a policy, and stops it: included by torchrl_morl.hpp, which says how it is used.
+#pragma once
+
+#include "torchrl_morl.hpp"
+
+namespace torchrl_morl {
+
+// What the base is told. A base that has got no other command by valid_until must stop on its own: nothing here runs
+// if the process hangs.
+struct Command {
+  double speed, turn_rate;     // m/s, rad/s
+  std::string reason, detail;  // "drive", or why the robot stops; the same for a person to read
+  double valid_until;          // s, on the clock of time
+};
+
+// Left out: those of the training.
+struct Options {
+  std::optional<double> goal_radius;    // m
+  std::optional<double> timeout;        // s, after which an input is too old
+  std::optional<double> max_speed;      // m/s; lowered together with the turn rate: the same arc, more slowly
+  std::optional<double> max_turn_rate;  // rad/s
+};
+
+// One step() a control period. It stops, with speed and turn rate 0, for these reasons: "goal reached", "clock",
+// "stale", "no scan", "no goal", "refused".
+class Runner {
+ public:
+  Runner(Policy with, Lidar from, Options options = {}) : policy(std::move(with)), lidar(from) {
+    lidar.check();
+    const Sensing& sensing = policy.sensing;
+    if (std::abs(lidar.increment) > 2 * pi / static_cast<double>(sensing.num_sectors) * (1 + 1e-4))
+      throw std::invalid_argument("lidar: too few beams: the policy needs at least " +
+                                  std::to_string(sensing.num_sectors) + " a revolution");
+    const auto fastest = [](std::pair<double, double> limit) {
+      return std::max(std::abs(limit.first), std::abs(limit.second));
+    };
+    goal_radius = positive("goal_radius", options.goal_radius.value_or(sensing.goal_range.first));
+    timeout = positive("timeout", options.timeout.value_or(policy.period));
+    max_speed = positive("max_speed", options.max_speed.value_or(fastest(policy.speed)));
+    max_turn_rate = positive("max_turn_rate", options.max_turn_rate.value_or(fastest(policy.turn_rate)));
+  }
+
+  Policy policy;
+  Lidar lidar;
+  double goal_radius, timeout, max_speed, max_turn_rate;
+
+  // Command for the next control period; it throws for nothing that it is given.
+  //
+  // ranges: of the scan, or nullptr. human: the nearest person, or nothing for nobody. preference: in the order of
+  // policy.preference_names. stamp: when the oldest input was measured; time: now, on the same clock. For policies that
+  // read the human's velocity give human_velocity, or odometry: where the robot is in any fixed frame.
+  Command step(const std::vector<double>* ranges, std::optional<Polar> goal, std::optional<Polar> human,
+               const std::vector<double>& preference, double stamp, double time,
+               std::optional<Velocity> human_velocity = {}, std::optional<Pose> odometry = {}) {
+    const std::optional<double> last = time_;
+    if (std::isfinite(time)) time_ = time;
+    if (!std::isfinite(time) || !std::isfinite(stamp)) return stop("clock", "time and stamp must be finite numbers");
+    if (last && time <= *last)
+      return stop("clock", "time is " + shown(time) + " s, at the last step it was " + shown(*last) + " s");
+    const double age = time - stamp;
+    if (age < -timeout) return stop("clock", "stamp is " + shown(-age) + " s later than time: two clocks");
+    if (age > timeout + 1e-9)
+      return stop("stale", "the inputs are " + shown(age) + " s old, at most " + shown(timeout) + " s are allowed");
+    if (ranges == nullptr) return stop("no scan", "there is none");
+    if (!goal) return stop("no goal", "there is none");
+    std::array<double, 2> command{};
+    bool seen = false;
+    try {
+      const Sensing& sensing = policy.sensing;
+      std::vector<double> sectors = lidar.sectors(*ranges, sensing.num_sectors, sensing.max_range,
+                                                  sensing.lidar_origin.first, sensing.lidar_origin.second);
+      for (double& range : sectors) {
+        seen = seen || !std::isnan(range);
+        if (std::isnan(range)) range = sensing.unknown_range;
+      }
+      if (human) check(*human);
+      if (human && !human_velocity && odometry) human_velocity = velocity_of(*human, *odometry, stamp);
+      command = policy.act(preference, sectors, *goal, human, human ? human_velocity : std::nullopt);
+    } catch (const std::exception& error) {
+      return stop("refused", error.what());
+    }
+    if (!seen) return stop("no scan", "the scan has no valid beam");
+    if (goal->distance <= goal_radius) return stop("goal reached", "the goal is " + shown(goal->distance) + " m away");
+    const double share = std::min(
+        {1.0, max_speed / std::max(std::abs(command[0]), 1e-9), max_turn_rate / std::max(std::abs(command[1]), 1e-9)});
+    return {command[0] * share, command[1] * share, "drive", "", time + timeout};
+  }
+
+ private:
+  struct Seen {
+    double stamp, x, y;
+  };
+
+  static double positive(const char* name, double value) {
+    if (!(std::isfinite(value) && value > 0))
+      throw std::invalid_argument(std::string(name) + " must be finite and positive, got " + shown(value));
+    return value;
+  }
+  static void check(Polar human) {
+    if (!std::isfinite(human.distance) || !std::isfinite(human.bearing) || human.distance < 0)
+      throw std::invalid_argument("human must be finite, with a distance of at least 0");
+    if (human.distance == 0) throw std::invalid_argument("the human is at 0 m: for nobody pass no human");
+  }
+
+  // Of the human since the last step, along the axes of the robot; 0 at first sight, which a human is at again who was
+  // gone for a second or moves faster than 3 m/s.
+  Velocity velocity_of(Polar human, Pose robot, double stamp) {
+    if (!std::isfinite(robot.x) || !std::isfinite(robot.y) || !std::isfinite(robot.heading))
+      throw std::invalid_argument("odometry must be finite");
+    const Seen now{stamp, robot.x + human.distance * std::cos(robot.heading + human.bearing),
+                   robot.y + human.distance * std::sin(robot.heading + human.bearing)};
+    const double since = human_ ? stamp - human_->stamp : std::numeric_limits<double>::infinity();
+    if (since > 0) {
+      Velocity moved{0.0, 0.0};
+      if (since <= 5 * policy.period) moved = {(now.x - human_->x) / since, (now.y - human_->y) / since};
+      velocity_ = std::hypot(moved.ahead, moved.left) <= 3.0 ? moved : Velocity{0.0, 0.0};
+      human_ = now;
+    }
+    const double cos = std::cos(robot.heading), sin = std::sin(robot.heading);
+    return {cos * velocity_.ahead + sin * velocity_.left, cos * velocity_.left - sin * velocity_.ahead};
+  }
+
+  Command stop(const char* reason, const std::string& detail) const {
+    return {0.0, 0.0, reason, detail, time_ ? *time_ + timeout : std::numeric_limits<double>::infinity()};
+  }
+
+  std::optional<double> time_;
+  std::optional<Seen> human_;
+  Velocity velocity_{0.0, 0.0};  // along the axes of the fixed frame: east and north
+};
+
+}  // namespace torchrl_morl
