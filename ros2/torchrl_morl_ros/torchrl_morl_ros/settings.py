@@ -57,7 +57,7 @@ class Settings:
     goal_radius: float = _parameter(0.0, "Distance at which the goal is reached, m; 0: the policy's.")
     max_speed: float = _parameter(0.0, "Lower than the policy's, m/s; 0: the policy's.")
     max_turn_rate: float = _parameter(0.0, "Lower than the policy's, rad/s; 0: the policy's.")
-    publish_rate: float = _parameter(20.0, "Commands and looks at the inputs a second, Hz.")
+    publish_rate: float = _parameter(50.0, "Commands and looks at the inputs a second, Hz.")
     enable_stamped_cmd_vel: bool = _parameter(False, "cmd_vel is a TwistStamped, not a Twist.")
     autostart: bool = _parameter(False, "Configure and activate without a lifecycle manager.")
 
