@@ -29,8 +29,8 @@ class Frames:
     Example:
         >>> frames = Frames("base_link", "odom")
         >>> frames.add(10.0, Pose(0.0, 0.0, 0.0))
-        >>> frames.add(10.1, Pose(1.0, 0.0, 0.0))
-        >>> frames.robot_at(10.05)  # between two messages
+        >>> frames.add(12.0, Pose(1.0, 0.0, 0.0))
+        >>> frames.robot_at(11.0)  # between two messages
         Pose(x=0.5, y=0.0, yaw=0.0)
     """
 

@@ -13,6 +13,7 @@ from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -296,7 +297,10 @@ def main(args: list[str] | None = None) -> None:
     """Run the node until it is interrupted."""
     # With its own handlers rclpy would close the topics before the last zero velocity is sent.
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    node, executor = PolicyNode(), SingleThreadedExecutor()
+    try:
+        node, executor = PolicyNode(), SingleThreadedExecutor()
+    except ParameterException as error:
+        sys.exit(f"policy_node: error: {error}")
     executor.add_node(node)
     wanted = True
 

@@ -53,7 +53,7 @@ class SimulatedRobot(Node):
             "scene": "static",
             "seed": 0,
             "robot": "turtlebot2",
-            "cmd_vel_timeout": 0.1,
+            "cmd_vel_timeout": 0.08,
             "enable_stamped_cmd_vel": False,
             "real_time_factor": 1.0,
             "human_message": "geometry_msgs/msg/PoseStamped",
@@ -140,8 +140,6 @@ class SimulatedRobot(Node):
     def publish(self) -> None:
         """What the sensors tell at this time."""
         stamp = Time(nanoseconds=round(self.now * 1e9)).to_msg()
-        if self.simulated_clock:
-            self._clock.publish(ClockMessage(clock=stamp))
         for publisher, message in (
             (self._odometry, self.odometry()),
             (self._humans, self.human()),
@@ -151,6 +149,9 @@ class SimulatedRobot(Node):
                 if not message.header.stamp.sec:
                     message.header.stamp = stamp
                 publisher.publish(message)
+        if self.simulated_clock:
+            # Last: what is decided at this time rests on what is sensed at this time.
+            self._clock.publish(ClockMessage(clock=stamp))
 
     @property
     def listeners(self) -> int:
