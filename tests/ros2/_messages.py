@@ -42,7 +42,9 @@ def scan(stamp: float, ranges=None, frame: str = "base_link", **changes) -> Fiel
     return Fields(header=header(stamp, frame), **(given | changes))
 
 
-def odometry(stamp: float, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, frame="odom") -> Fields:
+def odometry(
+    stamp: float, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, frame="odom"
+) -> Fields:
     return Fields(header=header(stamp, frame), pose=Fields(pose=pose(x, y, yaw)))
 
 

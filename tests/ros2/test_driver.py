@@ -342,7 +342,9 @@ def test_without_a_preference_all_weigh_the_same():
     "wrong", [(0.5, 0.5), (0.5, 0.6, 0.0), (-0.1, 0.6, 0.5), (math.nan, 0.5, 0.5), (math.inf, 0, 0)]
 )
 def test_a_preference_off_the_simplex_is_named(wrong):
-    with pytest.raises(ValueError, match=r"^preference must be 3 weights .* for demo, distance, eff"):
+    with pytest.raises(
+        ValueError, match=r"^preference must be 3 weights .* for demo, distance, eff"
+    ):
         driver(preference=wrong)
 
 

@@ -41,7 +41,9 @@ def test_rotating_about_z_and_x():
 def test_a_camera_looks_along_z():
     # Optical frame: z ahead, x to the right, y down.
     optical = Fields(x=-0.5, y=0.5, z=-0.5, w=0.5)
-    seen = transformed(Fields(translation=point(0.1, 0.0, 1.0), rotation=optical), point(0.5, 0.2, 3))
+    seen = transformed(
+        Fields(translation=point(0.1, 0.0, 1.0), rotation=optical), point(0.5, 0.2, 3)
+    )
     assert seen == pytest.approx((3.1, -0.5))
 
 

@@ -9,4 +9,6 @@ import pytest
 
 def test_the_node_and_its_robot_in_two_processes():
     if importlib.util.find_spec("rclpy") is None:
-        pytest.skip("rclpy is not installed: make test-ros installs it and runs tests/ros2/loopback")
+        pytest.skip(
+            "rclpy is not installed: make test-ros installs it and runs tests/ros2/loopback"
+        )

@@ -7,7 +7,13 @@ from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-TOPICS = {"scan": "scan", "odom": "odom", "human": "human", "goal": "goal_pose", "cmd_vel": "cmd_vel"}
+TOPICS = {
+    "scan": "scan",
+    "odom": "odom",
+    "human": "human",
+    "goal": "goal_pose",
+    "cmd_vel": "cmd_vel",
+}
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -35,7 +41,9 @@ def generate_launch_description() -> LaunchDescription:
             {
                 "policy": ParameterValue(LaunchConfiguration("policy"), value_type=str),
                 "autostart": ParameterValue(LaunchConfiguration("autostart"), value_type=bool),
-                "use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool),
+                "use_sim_time": ParameterValue(
+                    LaunchConfiguration("use_sim_time"), value_type=bool
+                ),
             },
         ],
         remappings=[

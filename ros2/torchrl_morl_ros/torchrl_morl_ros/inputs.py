@@ -14,6 +14,7 @@ from .frames import Frames, Lookup
 from .geometry import Pose, mounted, quaternion, rotate
 from .settings import Settings
 
+
 class Fault(NamedTuple):
     """Why the robot must stand: a word for machines, and a line for people."""
 

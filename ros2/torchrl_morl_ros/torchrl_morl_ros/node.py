@@ -191,7 +191,9 @@ class PolicyNode(LifecycleNode):
             (0.5, self._look_at_clock, self._steady),
             (1.0, self._tell, self._steady),
         ):
-            self._parts.append((self.destroy_timer, self.create_timer(period, callback, clock=clock)))
+            self._parts.append(
+                (self.destroy_timer, self.create_timer(period, callback, clock=clock))
+            )
 
     def _forget(self) -> None:
         for destroy, part in self._parts:
@@ -218,9 +220,9 @@ class PolicyNode(LifecycleNode):
         if value == list(self._driver.preference):
             return
         # Through the parameter: one place tells which preference holds.
-        result = self.set_parameters(
-            [Parameter("preference", Parameter.Type.DOUBLE_ARRAY, value)]
-        )[0]
+        result = self.set_parameters([Parameter("preference", Parameter.Type.DOUBLE_ARRAY, value)])[
+            0
+        ]
         if not result.successful:
             self.get_logger().warning(f"{result.reason} The last one holds.")
 

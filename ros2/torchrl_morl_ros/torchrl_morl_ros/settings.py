@@ -54,7 +54,9 @@ class Settings:
     use_tf: bool = _parameter(
         True, "Where tf2_ros is installed: mount of the lidar, goals and humans in other frames."
     )
-    goal_radius: float = _parameter(0.0, "Distance at which the goal is reached, m; 0: the policy's.")
+    goal_radius: float = _parameter(
+        0.0, "Distance at which the goal is reached, m; 0: the policy's."
+    )
     max_speed: float = _parameter(0.0, "Lower than the policy's, m/s; 0: the policy's.")
     max_turn_rate: float = _parameter(0.0, "Lower than the policy's, rad/s; 0: the policy's.")
     publish_rate: float = _parameter(50.0, "Commands and looks at the inputs a second, Hz.")

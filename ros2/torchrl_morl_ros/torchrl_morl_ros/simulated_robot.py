@@ -59,7 +59,9 @@ class SimulatedRobot(Node):
             "human_message": "geometry_msgs/msg/PoseStamped",
             "next_scene": True,
         }
-        given = {name: self.declare_parameter(name, value).value for name, value in defaults.items()}
+        given = {
+            name: self.declare_parameter(name, value).value for name, value in defaults.items()
+        }
         self._given = given
         self.env = _Often(
             num_envs=1,
@@ -119,9 +121,13 @@ class SimulatedRobot(Node):
         self._now += self.period
         fresh = self.now - self.heard <= self._given["cmd_vel_timeout"]
         command = self.command if fresh else (0.0, 0.0)
-        if not self.ended:
+        if self.ended:
+            self.velocity = (0.0, 0.0)
+        else:
             before = self.pose.copy()
-            self.state["action"] = self.env.action_spec.zero() + self.state["goal"].new_tensor(command)
+            self.state["action"] = self.env.action_spec.zero() + self.state["goal"].new_tensor(
+                command
+            )
             self.state = step_mdp(self.env.step(self.state))
             moved = self.pose - before
             turned = math.remainder(moved[2], 2 * math.pi)

@@ -124,7 +124,9 @@ class Robot(SimulatedRobot):
         """Ask the node by its service; what it answers."""
         client = self.create_client(SetParameters, "/policy_node/set_parameters")
         assert client.wait_for_service(timeout_sec=10)
-        request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
         future = client.call_async(request)
         assert self.run(future.done, 10)
         self.destroy_client(client)

@@ -121,7 +121,9 @@ def test_a_preference_off_the_simplex_is_refused_and_the_last_one_holds(robot, n
     assert robot.set_parameter("preference", [0.0, 0.5, 0.5]).successful
     answer = robot.set_parameter("preference", [0.5, 0.5, 0.5])
     assert not answer.successful
-    assert answer.reason.startswith("preference must be 3 weights from 0 to 1 that sum to 1, for demo")
+    assert answer.reason.startswith(
+        "preference must be 3 weights from 0 to 1 that sum to 1, for demo"
+    )
     robot.prefer(0.2, 0.8)
     assert robot.run(lambda: "got [0.2, 0.8]. The last one holds." in node.said(), 10)
     robot.rest(4.0)
