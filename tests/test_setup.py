@@ -24,7 +24,7 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT, GROUPS = PYPROJECT["project"], PYPROJECT["dependency-groups"]
 EXTRAS = PROJECT["optional-dependencies"]
 ROOMS = ("torchrl_morl", "envs", "recipes", "examples", "tests", "benchmarks", "tools")
-TARGETS = ("demo", "train", "test", "lint", "format", "docs", "linkcheck", "lock", "clean", "help")
+TARGETS = ("demo", "train", "test", "test-ros", "lint", "format", "docs", "linkcheck", "lock", "clean", "help")
 
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 
@@ -90,7 +90,7 @@ def test_direct_dependency_runs_on_the_oldest_python(requirement: Requirement) -
 
 def test_extras_are_those_of_the_wheel_and_the_rest_are_groups() -> None:
     assert EXTRAS.keys() == {"viz", "indicators"}
-    assert GROUPS.keys() == {"sim", "recipes", "references", "test", "docs", "dev"}
+    assert GROUPS.keys() == {"sim", "recipes", "references", "bags", "test", "docs", "dev"}
 
 
 def test_uv_installs_the_versions_of_constraints_txt() -> None:
@@ -153,7 +153,7 @@ def test_what_a_package_imports_is_declared(
 ) -> None:
     lines = [*PROJECT["dependencies"], *(line for extra in extras for line in EXTRAS[extra])]
     if group is not None:
-        lines += [*requirements_of(group), *requirements_of("references")]
+        lines += [*requirements_of(group), *requirements_of("references"), *requirements_of("bags")]
     declared = {canonicalize_name(Requirement(line).name) for line in lines}
     known = {*sys.stdlib_module_names, *ROOMS}
     owners = importlib.metadata.packages_distributions()
