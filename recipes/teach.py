@@ -33,7 +33,7 @@ from torchrl_morl.data import load_demonstrations, save_demonstrations
 from torchrl_morl.deploy import load_policy
 
 from . import stages
-from .arguments import Parser, episodes, existing_file
+from .arguments import Parser, episodes, existing, existing_file
 from .drex import schema as drex_schema
 from .evaluation import style
 from .evaluation.setting import choose
@@ -49,10 +49,8 @@ from .training.run_folder import claim, final_policy
 def main() -> None:
     """Teach; ``--help`` lists the options."""
     parser = Parser(description=__doc__)
-    parser.add_argument("file", type=existing_file, help="recorded drives, .csv or .npz")
-    parser.add_argument(
-        "--boxes", type=existing_file, help="boxes around a .csv file's drives, .csv"
-    )
+    parser.add_argument("file", type=existing, help="recorded drives: .csv, .npz or a ROS bag")
+    parser.add_argument("--boxes", type=existing_file, help="boxes around the drives, .csv")
     parser.add_argument("--robot", default="turtlebot2", help="that drove: a name or a .yaml file")
     parser.add_argument("--output", type=Path, help="new folder (default: one in runs/teach)")
     parser.add_argument(
@@ -73,7 +71,7 @@ def main() -> None:
         check_stage("--drex", drex_schema, drex_command(args, planned)[1:], planned)
         check_stage("--pd-morl", morl_schema, morl_command(args, planned)[1:], planned)
         output = claim(base) if args.output is None else claim_folder(args.output, base)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ImportError) as error:
         parser.error(str(error))
     print(report)
     output = output.resolve()

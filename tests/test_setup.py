@@ -24,7 +24,19 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT, GROUPS = PYPROJECT["project"], PYPROJECT["dependency-groups"]
 EXTRAS = PROJECT["optional-dependencies"]
 ROOMS = ("torchrl_morl", "envs", "recipes", "examples", "tests", "benchmarks", "tools")
-TARGETS = ("demo", "train", "test", "test-ros", "lint", "format", "docs", "linkcheck", "lock", "clean", "help")
+TARGETS = (
+    "demo",
+    "train",
+    "test",
+    "test-ros",
+    "lint",
+    "format",
+    "docs",
+    "linkcheck",
+    "lock",
+    "clean",
+    "help",
+)
 
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 

@@ -52,6 +52,7 @@ class BagFile:
         boxes: a ``.csv`` file with boxes around the drives.
         topics: which ones are read.
         gap: longest time without word of the human, seconds.
+        goal_radius: within which the goal is reached, metres: there a drive ends.
         progress: see :func:`envs.demonstrations.import_demonstrations`.
 
     Raises:
@@ -66,9 +67,10 @@ class BagFile:
         *,
         topics: BagTopics | None = None,
         gap: float = 0.5,
+        goal_radius: float = 0.3,
         progress: Callable[..., Iterable[Any]],
     ) -> None:
-        self._gap, self.notes = gap, []
+        self._gap, self._radius, self.notes = gap, goal_radius, []
         topics = topics or BagTopics()
         self._drives: dict[str, tuple[Track, Track, np.ndarray]] = {}
         for bag in bags(path):
@@ -129,7 +131,9 @@ class BagFile:
             drive = Track(robot.time[span], robot.points[span], robot.frame)
             # Until it sets off nobody drives.
             waits = _standing(drive, 0)
-            moves = Track(drive.time[waits:], drive.points[waits:], drive.frame)
+            # What comes after the arrival is none of the drive, and may have gaps.
+            arrives = _arrival(drive, place, self._radius)
+            moves = Track(drive.time[waits:arrives], drive.points[waits:arrives], drive.frame)
             yield moves, human, place
 
     def _in_order(self, bag: Path, robot: Track) -> Track:
@@ -171,6 +175,13 @@ def _new_goals(goals: Track) -> tuple[list[float], list[np.ndarray]]:
             starts.append(float(time))
             places.append(place)
     return starts, places
+
+
+def _arrival(robot: Track, goal: np.ndarray, radius: float) -> int | None:
+    """How many points there are up to the first one at the goal; ``None`` if there is none."""
+    away = np.hypot(*(np.concatenate([one[:1, :2] for one in robot.points]) - goal).T)
+    at = np.flatnonzero(away <= radius)
+    return int(at[0]) + 1 if len(at) else None
 
 
 def _standing(robot: Track, begin: int) -> int:

@@ -82,7 +82,9 @@ def import_demonstrations(
     robot = get_robot(robot)
     check_limits(goal_radius, max_steps)
     gap = (tolerances or Tolerances()).gap
-    file = open_recordings(path, boxes, topics=topics, gap=gap, progress=progress)
+    file = open_recordings(
+        path, boxes, topics=topics, gap=gap, goal_radius=goal_radius, progress=progress
+    )
     paths: list[TimedPath] = []
     rejected: dict[str, list[Reason]] = {}
     repeated: list[int] = []

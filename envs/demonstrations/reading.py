@@ -24,6 +24,7 @@ def open_recordings(
     *,
     topics: BagTopics | None = None,
     gap: float = 0.5,
+    goal_radius: float = 0.3,
     progress: Callable[..., Iterable[Any]] = silent,
 ) -> CsvFile | NpzFile | BagFile:
     """Open a file of trajectories; capital suffixes count as well.
@@ -36,6 +37,7 @@ def open_recordings(
     Keyword Args:
         topics: of a bag.
         gap: of a bag: longest time without word of the human, seconds.
+        goal_radius: of a bag: within which a drive is at its goal and ends, metres.
         progress: of reading a bag, see :func:`envs.demonstrations.import_demonstrations`.
 
     Returns:
@@ -55,7 +57,9 @@ def open_recordings(
             raise FileNotFoundError(f"{file} {what}.")
     boxes = None if boxes is None else Path(boxes)
     if found:
-        return BagFile(path, boxes, topics=topics, gap=gap, progress=progress)
+        return BagFile(
+            path, boxes, topics=topics, gap=gap, goal_radius=goal_radius, progress=progress
+        )
     if topics is not None:
         raise ValueError(f"{path} is no bag: it has no topics to choose.")
     suffix = path.suffix.lower()

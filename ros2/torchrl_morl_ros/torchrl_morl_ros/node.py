@@ -298,11 +298,11 @@ class PolicyNode(LifecycleNode):
 def main(args: list[str] | None = None) -> None:
     """Run the node until it is interrupted."""
     # With its own handlers rclpy would close the topics before the last zero velocity is sent.
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node, executor = PolicyNode(), SingleThreadedExecutor()
-    except ParameterException as error:
-        sys.exit(f"policy_node: error: {error}")
+    except (ParameterException, RuntimeError) as error:  # of ROS: types, and what it cannot parse
+        sys.exit(f"policy_node: error: {error}".splitlines()[0])
     executor.add_node(node)
     wanted = True
 

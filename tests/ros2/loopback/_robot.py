@@ -138,6 +138,7 @@ class NodeProcess:
 
     def __init__(self, log: Path, **parameters) -> None:
         given = {"policy": POLICY, "autostart": "true", **parameters}
+        given = {name: value for name, value in given.items() if value is not None}
         words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
         self.log, self._interrupted = log, False
         path = os.pathsep.join([str(ROOT), str(ROOT / "ros2" / "torchrl_morl_ros")])

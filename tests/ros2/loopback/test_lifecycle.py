@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import GetParameters
 
 from ._robot import POLICY, STARTS, NodeProcess, Robot
 
@@ -14,6 +15,14 @@ def robot(loopback):
     robot = Robot(seed=7)
     yield robot
     robot.close()
+
+
+@pytest.fixture(scope="module")
+def unconfigured(loopback, robot):
+    node = NodeProcess(loopback / "unconfigured.log", autostart="false")
+    assert state(robot) == State.PRIMARY_STATE_UNCONFIGURED
+    yield node
+    assert node.end() == 0
 
 
 def call(robot: Robot, kind, name: str, request):
@@ -64,16 +73,44 @@ def test_it_is_managed(loopback, robot):
 
 
 @pytest.mark.parametrize(
-    ("parameters", "line"),
+    ("name", "value", "line"),
     [
-        ({"policy": ""}, "policy must be the folder of a policy, got ''"),
-        ({"publish_rate": "2.0"}, "publish_rate must be from 5 to 200 Hz, got 2.0"),
-        ({"publish_rate": "20"}, "publish_rate"),
-        ({"human_message": "people_msgs/msg/People"}, "people_msgs is not installed: apt install"),
+        ("policy", "", "policy must be the folder of a policy, got ''"),
+        ("publish_rate", 2.0, "publish_rate must be from 5 to 200 Hz, got 2.0"),
+        ("human_message", "people_msgs/msg/People", "people_msgs is not installed: apt install"),
+        ("human_message", "somebody", "human_message must be one of none, geometry_msgs/msg/Pose"),
+        ("preference", [0.5, 0.5], "preference must be 3 weights from 0 to 1 that sum to 1"),
+        ("base_frame_id", "", "base_frame_id must be the name of a frame, got ''"),
     ],
 )
-def test_a_parameter_that_makes_no_sense_ends_it(loopback, parameters, line):
-    node = NodeProcess(loopback / f"refused{len(list(loopback.iterdir()))}.log", **parameters)
+def test_a_parameter_that_makes_no_sense_is_a_line(robot, unconfigured, name, value, line):
+    before = call(robot, GetParameters, "get_parameters", GetParameters.Request(names=[name]))
+    assert robot.set_parameter(name, value).successful
+    lines = len(unconfigured.said().splitlines())
+    assert not change(robot, Transition.TRANSITION_CONFIGURE)
+    assert robot.run(lambda: len(unconfigured.said().splitlines()) > lines, 5)
+    said = [one for one in unconfigured.said().splitlines()[lines:] if "[ERROR]" in one]
+    assert len(said) == 1
+    assert f"not configured: {line}" in said[0].replace(
+        "human_message is 'people_msgs/msg/People', and ", ""
+    )
+    if name != "preference":
+        assert robot.set_parameter(name, before.values[0].string_value or 50.0).successful
+    else:
+        assert robot.set_parameter(name, [0.2, 0.5, 0.3]).successful
+
+
+def test_a_parameter_of_another_type_ends_it(loopback):
+    node = NodeProcess(loopback / "type.log", publish_rate="20")
     assert node.process.wait(STARTS) == 1
-    (said,) = [one for one in node.said().splitlines() if "[INFO]" not in one]
-    assert line in said
+    assert node.said() == (
+        "policy_node: error: Trying to set parameter 'publish_rate' to '20' of type 'INTEGER', "
+        "expecting type 'DOUBLE': publish_rate\n"
+    )
+
+
+def test_a_start_that_fails_ends_it(loopback):
+    node = NodeProcess(loopback / "start.log", policy="/nowhere")
+    assert node.process.wait(STARTS) == 1
+    (said,) = node.said().splitlines()
+    assert "not configured: /nowhere/policy.safetensors not found: a policy is a folder" in said
