@@ -51,6 +51,7 @@ class PolicyNode(LifecycleNode):
         # Of wall time: it looks after the other clock.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._driver: Driver | None = None
+        self._listener: Any = None
         self._active = False
         self._parts: list[tuple[Any, Any]] = []
 
@@ -199,6 +200,8 @@ class PolicyNode(LifecycleNode):
         for destroy, part in self._parts:
             destroy(part)
         self._parts.clear()
+        if self._listener is not None:
+            self._listener.unregister()
         self._driver = self._listener = None
 
     def _take_scan(self, scan: LaserScan) -> None:
