@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import rclpy
 from builtin_interfaces.msg import Time
@@ -22,7 +22,7 @@ from torchrl_morl_ros.simulated_robot import SimulatedRobot
 
 ROOT = Path(__file__).resolve().parents[3]
 POLICY = ROOT / "recipes" / "policies" / "navigation"
-STARTS = 120.0
+STARTS = 240.0
 """Seconds that a node may take to start on a busy machine: it imports PyTorch."""
 
 
@@ -136,6 +136,8 @@ class Robot(SimulatedRobot):
 class NodeProcess:
     """``python -m torchrl_morl_ros``, which the robot meets on topics alone."""
 
+    running: ClassVar[list[subprocess.Popen]] = []
+
     def __init__(self, log: Path, **parameters) -> None:
         given = {"policy": POLICY, "autostart": "true", **parameters}
         given = {name: value for name, value in given.items() if value is not None}
@@ -150,6 +152,8 @@ class NodeProcess:
             stdout=self._out,
             stderr=subprocess.STDOUT,
         )
+
+        self.running.append(self.process)
 
     def kill(self) -> None:
         self.process.send_signal(signal.SIGKILL)

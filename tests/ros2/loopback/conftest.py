@@ -36,3 +36,8 @@ def loopback(tmp_path_factory):
         rclpy.init()
         yield tmp_path_factory.mktemp("node")
         rclpy.try_shutdown()
+        # A test that has failed leaves its node behind.
+        from ._robot import NodeProcess
+
+        while NodeProcess.running:
+            NodeProcess.running.pop().kill()
