@@ -261,6 +261,8 @@ BAD = {
     "human of NaN": (lambda i: i.take_people(stamped(10.0, math.nan, 1)), "refused"),
     "human in the robot": (lambda i: i.take_people(stamped(10.0, 0, 0)), "refused"),
     "goal in a map": (lambda i: i.take_goal(stamped(10.0, 1, 1, frame="map")), "refused"),
+    "goal in no frame": (lambda i: i.take_goal(stamped(10.0, 1, 1, frame="")), "refused"),
+    "human in no frame": (lambda i: i.take_people(stamped(10.0, 1, 1, frame="")), "refused"),
     "goal of infinity": (lambda i: i.take_goal(stamped(10.0, math.inf, 1)), "refused"),
     "goal before it, of NaN": (
         lambda i: i.take_goal(stamped(10.0, math.nan, 1, frame="base_link")),

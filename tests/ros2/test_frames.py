@@ -26,10 +26,14 @@ def test_between_two_odometries_it_turns_the_short_way():
 
 def test_outside_of_its_memory_the_nearest_end_counts():
     made = frames()
-    assert made.robot_at(0.0) == (0.0, 0.0, 3.0)
+    assert made.robot_at(1.0) == (0.0, 0.0, 3.0)
     assert made.robot_at(99.0) == (1.0, 2.0, -3.0)
     made.add(13.0, Pose(5.0, 5.0, 0.0))
-    assert made.robot_at(0.0) == (5.0, 5.0, 0.0)  # two seconds are remembered
+    assert made.robot_at(1.0) == (5.0, 5.0, 0.0)  # two seconds are remembered
+
+
+def test_no_stamp_is_now():
+    assert frames().robot_at(0.0) == (1.0, 2.0, -3.0)
 
 
 def test_time_that_goes_back_begins_anew():

@@ -56,11 +56,15 @@ class Frames:
     def robot_at(self, stamp: float) -> Pose:
         """Where the robot was; outside of what is remembered, at its nearest end.
 
+        A stamp of 0 is now, as for tf2: messages from the command line have it.
+
         Raises:
             LookupError: before the first odometry.
         """
         if not self._poses:
             raise LookupError("there is no odometry yet")
+        if not stamp:
+            return self._poses[-1][1]
         after = bisect.bisect_left(self._poses, stamp, key=lambda entry: entry[0])
         if after in (0, len(self._poses)):
             return self._poses[min(after, len(self._poses) - 1)][1]

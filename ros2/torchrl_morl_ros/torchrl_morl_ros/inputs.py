@@ -117,7 +117,7 @@ class Inputs:
             return  # asked anew at every step: a localisation may move the frame
         try:
             # It stays where it was, and does not move on with the robot.
-            self._goal = "", self.frames.fixed(goal.pose.position, frame, stamp)
+            self._goal = None, self.frames.fixed(goal.pose.position, frame, stamp)
         except (ValueError, LookupError) as error:
             self._faults["goal"] = Fault("refused", f"goal: {error}".rstrip("."))
 
@@ -152,7 +152,7 @@ class Inputs:
             ValueError: for numbers that are not finite.
         """
         frame, point = self._goal
-        return self.frames.fixed(point, frame, 0.0) if frame else point
+        return point if frame is None else self.frames.fixed(point, frame, 0.0)
 
     def nearest(self, robot: Pose, now: float) -> Seen | None:
         """Of the people that are there, the nearest one."""
