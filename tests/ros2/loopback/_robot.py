@@ -169,7 +169,7 @@ class NodeProcess:
         """Interrupt it; its exit status."""
         self.interrupt()
         try:
-            return self.process.wait(20)
+            return self.process.wait(STARTS)  # it unloads PyTorch
         finally:
             self.process.kill()
             self._out.close()
