@@ -149,6 +149,14 @@ def existing_folder(text: str) -> Path:
     return path
 
 
+def existing(text: str) -> Path:
+    """A file or a folder that is there."""
+    path = Path(text)
+    if not path.exists():
+        raise argparse.ArgumentTypeError(f"must be a file or a folder, {text!r} does not exist")
+    return path
+
+
 def new_folder(text: str) -> Path:
     """A folder to write: not there, or empty."""
     path = Path(text)

@@ -39,7 +39,7 @@ from torchrl_morl.data import load_demonstrations, save_demonstrations
 from torchrl_morl.deploy import load_policy
 
 from . import stages
-from .arguments import Parser, episodes, existing_file, existing_folder
+from .arguments import Parser, episodes, existing, existing_file, existing_folder
 from .drex import schema as drex_schema
 from .evaluation import style
 from .evaluation.setting import choose
@@ -62,7 +62,7 @@ def main() -> None:
     args = parser.parse_args()
     try:
         record, held = resumed(args) if args.resume else begun(args)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ImportError) as error:
         parser.error(" ".join(str(error).split()))
     with held, stages.says_how_to_go_on(record, "recipes.teach"):
         teach(record)
@@ -70,10 +70,10 @@ def main() -> None:
 
 def make_parser() -> argparse.ArgumentParser:
     parser = Parser(description=__doc__)
-    parser.add_argument("file", nargs="?", type=existing_file, help="recorded drives, .csv or .npz")
     parser.add_argument(
-        "--boxes", type=existing_file, help="boxes around a .csv file's drives, .csv"
+        "file", nargs="?", type=existing, help="recorded drives: .csv, .npz or a ROS bag"
     )
+    parser.add_argument("--boxes", type=existing_file, help="boxes around the drives, .csv")
     parser.add_argument("--robot", default="turtlebot2", help="that drove: a name or a .yaml file")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--output", type=Path, help="new folder (default: one in runs/teach)")

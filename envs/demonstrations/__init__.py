@@ -1,5 +1,6 @@
 """Demonstrations: scripted drivers, recordings, whether a robot can drive them, and their import."""
 
+from .bag_topics import BagTopics
 from .drivers import (
     CircleDemonstrator,
     DetourDriver,
@@ -15,6 +16,7 @@ from .recordings import Recording
 from .report import ImportReport, NoDriveAcceptedError, Reason
 
 __all__ = [
+    "BagTopics",
     "CircleDemonstrator",
     "DetourDriver",
     "Driver",

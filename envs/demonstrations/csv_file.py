@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 from array import array
 from collections import defaultdict
-from collections.abc import Container, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from .recordings import BOX_COLUMNS, COLUMNS, Recording, box_fault, make_recording
+from .boxes import BoxFile
+from .recordings import COLUMNS, Recording, make_recording
 from .tables import Table
 
 
@@ -34,10 +34,7 @@ class CsvFile:
         self.notes = self._table.notes()
         if not self._ends:
             raise ValueError(f"{path} holds no trajectory: there is nothing below the header.")
-        self._boxes: dict[str, list[list[float]]] = defaultdict(list)
-        self._faults: dict[str, list[str]] = defaultdict(list)
-        if boxes is not None:
-            self._read_boxes(boxes, path, self._ends)
+        self._boxes = None if boxes is None else BoxFile(boxes, path, self._ends)
 
     def __len__(self) -> int:
         return len(self._ends)
@@ -59,37 +56,11 @@ class CsvFile:
         return make_recording(
             name,
             dict(zip(columns, values)),
-            np.array(self._boxes[name], dtype=np.float64).reshape(-1, 5),
+            self._boxes.around(name) if self._boxes else np.zeros((0, 5)),
             where="line",
             rows=np.array(points.lines, dtype=np.int64),
-            faults=[*points.faults(), *self._faults[name]],
+            faults=[*points.faults(), *(self._boxes.faults(name) if self._boxes else ())],
         )
-
-    def _read_boxes(self, path: Path, drives: Path, names: Container[str]) -> None:
-        table = Table(path, BOX_COLUMNS)
-        for line in table:
-            place = f"{path}, line {line.number}"
-            # Which trajectory such a line belongs to is a guess, and a robot would miss its box.
-            if line.fault:
-                raise ValueError(f"{path}, {line.fault}.")
-            if line.trajectory not in names:
-                close = difflib.get_close_matches(line.trajectory, list(self._ends), 1)
-                hint = f" Is {close[0]!r} meant?" if close else ""
-                raise ValueError(f"{place}: {drives} has no trajectory {line.trajectory!r}.{hint}")
-            numbers = table.numbers(line)
-            if isinstance(numbers, str):
-                self._faults[line.trajectory].append(f"{path}, {numbers}")
-                continue
-            values = dict(zip(table.columns, numbers))
-            box = [values[column] for column in BOX_COLUMNS]
-            fault = box_fault(box, place)
-            if fault:
-                self._faults[line.trajectory].append(fault)
-                continue
-            self._boxes[line.trajectory].append(box)
-        # A box that is left out is one that the robot would not see.
-        if table.cut_off:
-            raise ValueError(f"{path}, line {table.cut_off} is cut off: complete or remove it.")
 
 
 class _Points:

@@ -155,7 +155,7 @@ def check(
 def _unusable(recording: Recording, tolerances: Tolerances) -> list[Reason]:
     """What rules out resampling."""
     if recording.faults:
-        return [Reason(fault, "with lines that cannot be read") for fault in recording.faults]
+        return [Reason(fault, "with parts that cannot be read") for fault in recording.faults]
     count = len(recording.time)
     if count < 2:
         return [Reason(f"has {count} point(s), fewer than 2", "of fewer than 2 points")]

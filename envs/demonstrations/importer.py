@@ -13,8 +13,9 @@ from torch import Tensor
 from ..policy_env import make_policy_env
 from ..robots import TURTLEBOT2, Robot, get_robot
 from ..scenes import Scene
+from .bag_topics import BagTopics
 from .feasibility import Tolerances, check, check_limits
-from .reading import open_recordings
+from .reading import open_recordings, silent
 from .report import ImportReport, NoDriveAcceptedError, Reason
 from .timed_path import TimedPath, velocities
 
@@ -22,10 +23,6 @@ from .timed_path import TimedPath, velocities
 _FAR = 1000.0
 _OBSERVED = ("observation", "goal", "human", "pose", "human_pose")
 _OBSERVED_NEXT = ("observation", "pose", "human_pose", "reward")
-
-
-def _silent(iterable: Iterable[Any], **_: Any) -> Iterable[Any]:
-    return iterable
 
 
 def import_demonstrations(
@@ -36,20 +33,23 @@ def import_demonstrations(
     goal_radius: float = 0.3,
     max_steps: int = 300,
     tolerances: Tolerances | None = None,
+    topics: BagTopics | None = None,
     num_threads: int = 0,
-    progress: Callable[..., Iterable[Any]] = _silent,
+    progress: Callable[..., Iterable[Any]] = silent,
 ) -> tuple[TensorDictBase, ImportReport]:
     r"""Read recorded trajectories and make the dataset that rollouts of a demonstrator give.
 
     Args:
-        path: a ``.csv`` or ``.npz`` file, see ``docs/demonstrations.md``.
-        boxes: a ``.csv`` file with the boxes around a ``.csv`` file's trajectories.
+        path: a ``.csv`` or ``.npz`` file, a ROS bag or a folder of bags, see
+            ``docs/demonstrations.md``.
+        boxes: a ``.csv`` file with the boxes around the trajectories of a ``.csv`` file or a bag.
 
     Keyword Args:
         robot: whose limits and lidar count: what :func:`envs.get_robot` takes.
         goal_radius: distance from the goal at which it is reached, metres.
         max_steps: longest episode, control steps.
         tolerances: how far recordings may exceed the robot's limits.
+        topics: of a bag; default :class:`BagTopics`.
         num_threads: native threads of the simulation; 0 uses every CPU.
         progress: shows how far it is: ``tqdm.tqdm``, or anything that takes an iterable with a
             length and ``desc``.
@@ -59,6 +59,7 @@ def import_demonstrations(
 
     Raises:
         FileNotFoundError: if a file does not exist.
+        ImportError: for a bag, without ``rosbags``.
         NoDriveAcceptedError: a :class:`ValueError`, if all trajectories are rejected.
         ValueError: if a file is not of the format, or an argument makes no sense.
 
@@ -80,7 +81,10 @@ def import_demonstrations(
     """
     robot = get_robot(robot)
     check_limits(goal_radius, max_steps)
-    file = open_recordings(path, boxes)
+    gap = (tolerances or Tolerances()).gap
+    file = open_recordings(
+        path, boxes, topics=topics, gap=gap, goal_radius=goal_radius, progress=progress
+    )
     paths: list[TimedPath] = []
     rejected: dict[str, list[Reason]] = {}
     repeated: list[int] = []
@@ -117,7 +121,7 @@ def replay(
     goal_radius: float = 0.3,
     chunk: int = 256,
     num_threads: int = 0,
-    progress: Callable[..., Iterable[Any]] = _silent,
+    progress: Callable[..., Iterable[Any]] = silent,
 ) -> TensorDictBase:
     """Put the robot on every point of the paths and record what it sees, and how it got on.
 

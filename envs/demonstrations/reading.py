@@ -1,42 +1,77 @@
-"""Read recorded trajectories from CSV or NumPy files."""
+"""Read recorded trajectories from CSV files, NumPy files or ROS bags."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
+from .bag_file import BagFile, bags
+from .bag_topics import BagTopics
 from .csv_file import CsvFile
 from .npz_file import NpzFile
 from .recordings import Recording
 
 
-def open_recordings(path: str | Path, boxes: str | Path | None = None) -> CsvFile | NpzFile:
-    """Open a ``.csv`` or ``.npz`` file of trajectories; capital suffixes count as well.
+def silent(iterable: Iterable[Any], **_: Any) -> Iterable[Any]:
+    """Shows no progress."""
+    return iterable
+
+
+def open_recordings(
+    path: str | Path,
+    boxes: str | Path | None = None,
+    *,
+    topics: BagTopics | None = None,
+    gap: float = 0.5,
+    goal_radius: float = 0.3,
+    progress: Callable[..., Iterable[Any]] = silent,
+) -> CsvFile | NpzFile | BagFile:
+    """Open a file of trajectories; capital suffixes count as well.
 
     Args:
-        path: the file.
-        boxes: a second ``.csv`` file with the boxes of a ``.csv`` file's trajectories.
+        path: a ``.csv`` or ``.npz`` file, a ROS bag (``.mcap``, ``.bag``, or a folder with
+            ``metadata.yaml``), or a folder of bags.
+        boxes: a ``.csv`` file with the boxes around the trajectories of a ``.csv`` file or a bag.
+
+    Keyword Args:
+        topics: of a bag.
+        gap: of a bag: longest time without word of the human, seconds.
+        goal_radius: of a bag: within which a drive is at its goal and ends, metres.
+        progress: of reading a bag, see :func:`envs.demonstrations.import_demonstrations`.
 
     Returns:
         Iterates over its trajectories and has a length; ``notes`` says what was passed over.
 
     Raises:
         FileNotFoundError: if a file does not exist.
+        ImportError: for a bag, without ``rosbags``.
         ValueError: if a file is not of its format; the message names the file, and the line and
-            column or the array.
+            column, the array or the topic.
     """
     path = Path(path)
-    for file in (path, boxes):
+    found = bags(path) if path.exists() else []
+    for file in (None if found else path, boxes):
         if file is not None and not Path(file).is_file():
             what = "is a folder, not a file" if Path(file).is_dir() else "not found"
             raise FileNotFoundError(f"{file} {what}.")
+    boxes = None if boxes is None else Path(boxes)
+    if found:
+        return BagFile(
+            path, boxes, topics=topics, gap=gap, goal_radius=goal_radius, progress=progress
+        )
+    if topics is not None:
+        raise ValueError(f"{path} is no bag: it has no topics to choose.")
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        return CsvFile(path, None if boxes is None else Path(boxes))
+        return CsvFile(path, boxes)
     if suffix == ".npz":
         if boxes is not None:
             raise ValueError(f"{path}: the boxes of an .npz file are its array 'boxes'.")
         return NpzFile(path)
-    raise ValueError(f"{path}: trajectories are a .csv or an .npz file, got {path.suffix!r}.")
+    raise ValueError(
+        f"{path}: trajectories are a .csv or an .npz file or a ROS bag, got {path.suffix!r}."
+    )
 
 
 def read_recordings(path: str | Path, boxes: str | Path | None = None) -> list[Recording]:

@@ -68,7 +68,7 @@ def make_targets(code: str) -> set[str]:
         words = shlex.split(line, comments=True)
         if "make" in words:
             rest = words[words.index("make") + 1 :]
-            found |= {word for word in rest if re.fullmatch(r"[a-z]+", word)}
+            found |= {word for word in rest if re.fullmatch(r"[a-z][a-z-]*", word)}
     return found
 
 

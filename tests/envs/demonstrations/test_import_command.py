@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 from safetensors import SafetensorError
 
 from recipes import import_demonstrations as recipe
+from tests import _bags
 from tests._command import run, run_here
 from torchrl_morl.data import load_demonstrations
 
@@ -171,3 +173,48 @@ def test_the_other_robot(tmp_path, capsys):
         recipe.main, str(drives(tmp_path / "d.csv")), "--output", str(output), "--robot", "hsr"
     )
     assert load_demonstrations(output)[1]["robot"] == "hsr"
+
+
+def test_a_bag_from_the_command_line(tmp_path):
+    bag = _bags.write_bag(tmp_path / "bag", _bags.drive())
+    output = tmp_path / "demos.safetensors"
+    done = run(MODULE, "--bag", bag, "--goal-topic", "/goal_pose", "--output", output)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[0] == "1 of 1 drives accepted"
+    _, metadata = load_demonstrations(output)
+    assert metadata["source"] == "bag"
+    assert metadata["topics"]["human"] == "/human"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ((), "one file of trajectories or one --bag is needed, got none"),
+        (
+            ("drives.csv", "--bag", "bag"),
+            "one file of trajectories or one --bag is needed, got drives",
+        ),
+        (
+            ("drives.csv", "--human-topic", "/a"),
+            "--human-topic is for --bag: drives.csv has no topics",
+        ),
+        (("--bag", "bag", "--stamps", "now"), "stamps must be 'header' or 'received', got 'now'"),
+        (("--bag", "bag", "--human-topic", "/odom"), "must be different topics"),
+        (("--bag", "nowhere"), "nowhere not found"),
+        (("--bag", "bag", "--robot-topic", "/pose"), "topic /pose for the robot is not in"),
+    ],
+)
+def test_bags_and_their_topics_are_refused_in_one_line(
+    tmp_path, refused, monkeypatch, arguments, line
+):
+    monkeypatch.chdir(tmp_path)
+    drives(tmp_path / "drives.csv")
+    _bags.write_bag(tmp_path / "bag", _bags.drive())
+    assert line in refused(*arguments, "--output", "demos.safetensors")
+
+
+def test_without_rosbags_it_says_what_to_install(tmp_path, refused, monkeypatch):
+    bag = _bags.write_bag(tmp_path / "bag", _bags.drive())
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    message = refused("--bag", bag, "--output", tmp_path / "demos.safetensors")
+    assert "bags need the package rosbags: pip install -c constraints.txt rosbags" in message
