@@ -76,15 +76,14 @@ def log_training(
     log_metrics(loggers, flat, frames)
 
 
-def progress_line(progress: tqdm.tqdm, count: Counters) -> dict[str, str]:
-    """Beside steps/s and the time left, which the bar itself shows."""
+def progress_line(progress: tqdm.tqdm, count: Counters, shown: dict[str, str]) -> dict[str, str]:
+    """Beside steps/s and the time left, which the bar itself shows; ``shown`` are names and formats."""
     bar = progress.format_dict
     # A resumed training has made some of its updates in another process.
     share = (bar["n"] - bar["initial"]) / max(bar["n"], 1)
     return {
         "updates/s": f"{share * count.updates / max(bar['elapsed'], 1e-9):.1f}",
-        "success": f"{count.success:.0f}%",
-        "score": f"{count.score:.2f}",
+        **{name: form.format(getattr(count, name)) for name, form in shown.items()},
     }
 
 

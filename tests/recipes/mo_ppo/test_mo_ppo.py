@@ -17,8 +17,8 @@ from torchrl.data import Bounded
 
 from envs import NavigationEnv
 from recipes.mo_ppo import mo_ppo
-from recipes.mo_ppo.optimizers import make_schedule, noise
 from recipes.training.checkpoint import SafeStateAdapter
+from recipes.training.ppo_optimizers import make_schedule, noise
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.data import save_demonstrations
