@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from typing import Any
@@ -11,7 +12,7 @@ import mo_gymnasium
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.vector.utils import batch_space, concatenate, iterate
+from gymnasium.vector.utils import concatenate, iterate
 from gymnasium.wrappers import DtypeObservation, FlattenObservation, RescaleAction
 from tensordict import TensorDictBase
 from torchrl.envs import MOGymWrapper
@@ -61,7 +62,10 @@ shape (K,), one entry per objective.
     def make() -> gymnasium.Env:
         limit = {} if max_episode_steps is None else {"max_episode_steps": max_episode_steps}
         try:
-            env = mo_gymnasium.make(name, **limit, **kwargs)
+            with warnings.catch_warnings():
+                # What Gymnasium finds in environments is for those who write them.
+                warnings.simplefilter("ignore", UserWarning)
+                env = mo_gymnasium.make(name, **limit, **kwargs)
         except (gymnasium.error.Error, ImportError, TypeError) as error:
             raise ValueError(f"{name} cannot be made: {' '.join(str(error).split())}") from error
         return _as_a_policy_sees_it(name, env)
@@ -97,9 +101,11 @@ class _VectorRewards(SyncVectorEnv):
 
     def __init__(self, makers: Sequence[Callable[[], gymnasium.Env]]) -> None:
         super().__init__(makers, autoreset_mode=AutoresetMode.DISABLED)
-        # With its batch: TorchRL takes K entries for K environments where the numbers agree.
-        self.reward_space = batch_space(self.envs[0].unwrapped.reward_space, self.num_envs)
-        self._rewards = np.zeros(self.reward_space.shape, dtype=np.float32)
+        # With its batch, since TorchRL takes K entries for K environments where the numbers agree; without
+        # bounds, since some transforms of rewards take no others.
+        shape = (self.num_envs, *self.envs[0].unwrapped.reward_space.shape)
+        self.reward_space = Box(-np.inf, np.inf, shape, np.float32)
+        self._rewards = np.zeros(shape, dtype=np.float32)
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict]:
         done = self._terminations | self._truncations
