@@ -64,9 +64,9 @@ def prepared(
             if owner is None and key not in sections:
                 raise ConfigurationError(unknown_field(key, schema))
             is_path = key == owner and known[owner].path is not None
-            if key == owner:
-                # What the YAML does not have Hydra adds only if told so.
-                sign = "++" if known[owner].optional else ""
+            if owner is not None:
+                # What the YAML does not have Hydra adds only if told so, and what a mapping does not hold.
+                sign = "++" if known[owner].optional or key != owner else ""
         if is_path:
             value = _path_value(value, multirun=multirun)
         result.append(f"{sign}{key}={value}")

@@ -20,6 +20,7 @@ from .fields import (
     Discount,
     Distribution,
     Layers,
+    LoggerArguments,
     LossFunction,
     NotNegative,
     Objectives,
@@ -251,6 +252,18 @@ class Backends(Section):
     """Where scalars are written."""
 
     backends: list[Backend] = Field(description="Loggers that record the training.")
+    arguments: LoggerArguments = Field(
+        description="Arguments of loggers, such as {wandb: {offline: true, project: mine}}."
+    )
+
+    @model_validator(mode="after")
+    def _arguments_of_backends(self) -> Backends:
+        if other := [name for name in self.arguments if name not in self.backends]:
+            raise ValueError(
+                f"logger.arguments are for {other[0]}, which is not among logger.backends, "
+                f"{self.backends}: add it there."
+            )
+        return self
 
 
 class Logger(Backends):
