@@ -117,7 +117,7 @@ def _parallel(ax: Axes, objectives, values, colors) -> None:
         best = non_dominated(points)
         for point, color, shown in zip((points - low) / span, colors[name], best, strict=True):
             ax.plot(
-                places, point, color=color, lw=1.6 if shown else 0.7, alpha=0.9 if shown else 0.5
+                places, point, color=color, lw=1.6 if shown else 0.7, alpha=1.0 if shown else 0.5
             )
     for place in places:
         ax.axvline(place, color="0.3", lw=0.8, zorder=0)

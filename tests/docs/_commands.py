@@ -91,7 +91,8 @@ def problem(command: Command) -> str | None:
         return f"there is no module {module}"
     if module.split(".")[0] in ("examples", "tools"):
         return None
-    if recipe := next((one for one in RECIPES if one.module == module), None):
+    if found := [one for one in RECIPES if one.module == module]:
+        recipe = next((one for one in found if one.chosen in arguments), found[0])
         fields = [one for one in arguments if one not in HYDRA and one != "job"]
         return refused(recipe, fields)
     known = options(module)
