@@ -150,4 +150,6 @@ def _key(fig: Figure, fronts: Mapping[str, Front], colors: Mapping[str, NDArray]
         Line2D([], [], ls="", marker=_MARKERS[index % len(_MARKERS)], color=colors[name][0])
         for index, name in enumerate(fronts)
     ]
-    fig.legend(handles, list(fronts), loc="outside lower center", ncols=min(4, len(fronts)))
+    inches = 0.5 + 0.09 * max(map(len, fronts))
+    columns = max(1, min(len(fronts), int(fig.get_figwidth() / inches)))
+    fig.legend(handles, list(fronts), loc="outside lower center", ncols=columns)

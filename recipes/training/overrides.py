@@ -65,8 +65,9 @@ def prepared(
                 raise ConfigurationError(unknown_field(key, schema))
             is_path = key == owner and known[owner].path is not None
             if owner is not None:
-                # What the YAML does not have Hydra adds only if told so, and what a mapping does not hold.
-                sign = "++" if known[owner].optional or key != owner else ""
+                # What the YAML does not have Hydra adds only if told so.
+                leaf = known[owner]
+                sign = "++" if leaf.optional or leaf.is_mapping else ""
         if is_path:
             value = _path_value(value, multirun=multirun)
         result.append(f"{sign}{key}={value}")
