@@ -241,3 +241,16 @@ def test_five_seeds_by_one_command_and_one_summary(tmp_path):
     )
     assert middle == pytest.approx(np.mean(hypervolumes[1:4]), rel=1e-4)
     assert hypervolumes[0] * 0.9999 <= low <= middle <= high <= hypervolumes[-1] * 1.0001
+
+
+@pytest.mark.slow
+def test_seeds_side_by_side(tmp_path):
+    pytest.importorskip(
+        "hydra_plugins.hydra_joblib_launcher", reason="pip install hydra-joblib-launcher"
+    )
+    folder = tmp_path / "seeds"
+    launcher = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"hydra.sweep.dir={folder}")
+    result = run("recipes.benchmark.train", "--multirun", *MO_PPO, CART, "seed=0,1", *launcher)
+    assert result.returncode == 0, result.stderr
+    fronts = [read_front(folder / job / "front.csv") for job in ("0", "1")]
+    assert not np.array_equal(fronts[0].returns, fronts[1].returns)
