@@ -17,7 +17,7 @@ from torchrl.record.loggers import Logger
 from recipes.training import logs
 from recipes.training.policies import finish
 from torchrl_morl.deploy import save_policy
-from torchrl_morl.evaluation import rollout_preferences
+from torchrl_morl.evaluation import rollout_preferences, steerability
 from torchrl_morl.preferences import PreferenceSpace
 
 from .fronts import FILE, Front
@@ -179,19 +179,50 @@ class LatticeEvaluation:
         )
 
     def end(self, result: LatticeResult) -> None:
-        for name in result.front.objectives:
-            steered = result.indicators[f"steerability/{name}"]
-            if not steered >= 0.5:
-                print(
-                    f"warning: the preference hardly steers {name} (rank correlation of weight and "
-                    f"return {steered:.2f}): train longer, or scale its reward."
-                )
+        for line in what_does_not_steer(result.front, self.cfg.loss.gamma):
+            print(f"warning: {line}")
         if not result.hypervolume > 0:
             print(
                 f"warning: no point exceeds evaluation.reference={list(self.problem.reference)} in all "
                 "objectives: the hypervolume is 0. Give a lower one."
             )
         finish(self.problem.run_dir, self.cfg)
+
+
+def what_does_not_steer(front: Front, gamma: float) -> list[str]:
+    """A line for each objective whose return does not follow its weight.
+
+    A policy is trained for discounted returns. Where these follow and the sums do not, the episodes tell
+    why: one that is asked for speed falls early, and an episode that ends early has a small sum.
+
+    Args:
+        front: of the policy.
+        gamma: that it was trained with.
+
+    Examples:
+        >>> import numpy as np
+        >>> weights, falls = np.eye(2), np.array([[1.0, 0.0], [2.0, 3.0]])
+        >>> what_does_not_steer(Front(("fast", "high"), weights, falls, np.eye(2)), 0.99)
+        ['the sums of fast do not follow its weight (rank correlation -1.00), its discounted returns \
+do (1.00): a greater loss.gamma than 0.99 looks further ahead.']
+    """
+    lines = []
+    for index, name in enumerate(front.objectives):
+        weight = front.preferences[:, index]
+        discounted = steerability(weight, front.discounted[:, index])
+        sums = steerability(weight, front.returns[:, index])
+        if not discounted >= 0.5:
+            lines.append(
+                f"the preference hardly steers {name} (rank correlation of weight and discounted "
+                f"return {discounted:.2f}): train longer, or scale its reward."
+            )
+        elif not sums >= 0.5:
+            lines.append(
+                f"the sums of {name} do not follow its weight (rank correlation {sums:.2f}), its "
+                f"discounted returns do ({discounted:.2f}): a greater loss.gamma than {gamma:g} looks "
+                "further ahead."
+            )
+    return lines
 
 
 def deterministic(problem: BenchmarkProblem, actor: TensorDictModuleBase) -> TensorDictModuleBase:
