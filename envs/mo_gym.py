@@ -50,8 +50,8 @@ def make_mo_gym_env(
 
     Examples:
         >>> env = make_mo_gym_env("deep-sea-treasure-v0", num_envs=2)
-        >>> env.rollout(3)["next", "reward"].shape
-        torch.Size([2, 3, 2])
+        >>> env.rollout(1)["next", "reward"].shape
+        torch.Size([2, 1, 2])
         >>> make_mo_gym_env("CartPole-v1")
         Traceback (most recent call last):
         ...

@@ -62,11 +62,12 @@ class Front:
             ``steerability/<objective>``, the rank correlation of weight and return.
 
         Examples:
+            >>> import numpy as np
             >>> front = Front(
             ...     ("a", "b"), np.eye(2), np.array([[3.0, 0.0], [0.0, 2.0]]), np.zeros((2, 2))
             ... )
             >>> found = front.indicators((-1.0, -1.0))
-            >>> found["hypervolume"], found["expected_utility"], found["steerability/a"]
+            >>> found["hypervolume"], found["expected_utility"], round(found["steerability/a"], 3)
             (6.0, 2.5, 1.0)
         """
         values = self.values(discounted=discounted)
