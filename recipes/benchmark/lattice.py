@@ -36,10 +36,8 @@ def lattice(preference_space: PreferenceSpace, most: int) -> Tensor:
         tensor([[0.0000, 1.0000],
                 [0.5000, 0.5000],
                 [1.0000, 0.0000]])
-        >>> (
-        ...     len(lattice(PreferenceSpace(("a", "b", "c")), 14)),
-        ...     len(lattice(PreferenceSpace("abc"), 15)),
-        ... )
+        >>> three = PreferenceSpace(("a", "b", "c"))
+        >>> len(lattice(three, 14)), len(lattice(three, 15))
         (10, 15)
     """
     bars = preference_space.num_tunable - 1
