@@ -31,7 +31,7 @@ from matplotlib import pyplot
 from torchrl.collectors import Collector
 
 from recipes.arguments import Parser
-from recipes.training import off_policy
+from recipes.training import corner_evaluation
 from recipes.training.corners import CornerResult, evaluate_corners
 from recipes.training.task import make_task
 
@@ -124,7 +124,7 @@ def train_ours(log: Log, args: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as folder:
         overrides = [f"seed={log.seed}", f"hydra.run.dir={folder}/run", *args.pd_morl]
         with (
-            mock.patch.object(off_policy, "evaluate_corners", evaluate),
+            mock.patch.object(corner_evaluation, "evaluate_corners", evaluate),
             mock.patch.object(Collector, "rollout", rollout),
             contextlib.suppress(Enough),
         ):

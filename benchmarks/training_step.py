@@ -30,7 +30,7 @@ from torchrl.objectives import SoftUpdate
 from envs import NavigationEnv
 from recipes.arguments import Parser, positive_int
 from recipes.outputs import choose_file
-from recipes.training import gradients, logs, off_policy, optimizers
+from recipes.training import corner_evaluation, gradients, logs, optimizers
 from recipes.training.checkpoint import Checkpoints
 
 from .learner import CLOCKS, machine
@@ -136,11 +136,11 @@ def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
         (TensorDictReplayBuffer, "sample", "replay: sample, relabel"),
         (SoftUpdate, "step", "soft update, average"),
         (AveragedModel, "update_parameters", "soft update, average"),
-        (off_policy, "evaluate_corners", "evaluate"),
+        (corner_evaluation, "evaluate_corners", "evaluate"),
         (logs, "log_training", "log, save"),
         (logs, "log_metrics", "log, save"),
-        (off_policy, "save_training_policy", "log, save"),
-        (off_policy, "trajectories_picture", "log, save"),
+        (corner_evaluation, "save_training_policy", "log, save"),
+        (corner_evaluation, "trajectories_picture", "log, save"),
         (Checkpoints, "save", "log, save"),
     )
     with contextlib.ExitStack() as stack:

@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("torchrl_morl", "envs", "recipes", "benchmarks")
-RECIPES = {f"recipes.{name}" for name in ("pd_morl", "mo_ppo", "drex", "scalarized")}
+RECIPES = {f"recipes.{name}" for name in ("pd_morl", "mo_ppo", "drex", "scalarized", "benchmark")}
 SHARED = {
     f"recipes.{name}" for name in ("training", "evaluation", "objectives", "arguments", "outputs")
 }

@@ -14,6 +14,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from pydantic import BaseModel
 
+from recipes.benchmark.schema import MOPPOConfig, PDMORLConfig
 from recipes.drex.schema import Config as DREX
 from recipes.mo_ppo.schema import Config as MOPPO
 from recipes.pd_morl.schema import Config as PDMORL
@@ -27,13 +28,17 @@ FOLDER = ROOT / "docs" / "configuration"
 
 
 class Recipe(NamedTuple):
-    """A recipe with a configuration: its page, its module, its schema and its YAML."""
+    """A recipe with a configuration: its page, its module, its schema and its YAML.
+
+    ``chosen`` is what the command must be given for it, where one module has several.
+    """
 
     page: str
     title: str
     module: str
     schema: type[BaseModel]
     config: str
+    chosen: str = ""
 
 
 RECIPES = (
@@ -42,6 +47,22 @@ RECIPES = (
     Recipe("mo_ppo", "MO-PPO", "recipes.mo_ppo.mo_ppo", MOPPO, "config"),
     Recipe("td3", "TD3-PR and CORE", "recipes.scalarized.td3", TD3Config, "td3"),
     Recipe("sac", "SAC-PR", "recipes.scalarized.sac", SACConfig, "sac"),
+    Recipe(
+        "benchmark_pd_morl",
+        "PD-MORL on other environments",
+        "recipes.benchmark.train",
+        PDMORLConfig,
+        "pd_morl",
+        "algorithm=pd_morl",
+    ),
+    Recipe(
+        "benchmark_mo_ppo",
+        "MO-PPO on other environments",
+        "recipes.benchmark.train",
+        MOPPOConfig,
+        "mo_ppo",
+        "algorithm=mo_ppo",
+    ),
 )
 
 INDEX = """# Where are the fields of a recipe?
@@ -77,7 +98,7 @@ def main() -> None:
 
 def pages() -> Iterator[tuple[str, str]]:
     """Names of the files, and what stands in them."""
-    rows = [f"| [{recipe.title}]({recipe.page}.md) | `{recipe.module}` |" for recipe in RECIPES]
+    rows = [f"| [{recipe.title}]({recipe.page}.md) | `{_command(recipe)}` |" for recipe in RECIPES]
     yield (
         "index.md",
         INDEX.format(
@@ -112,7 +133,7 @@ def page(recipe: Recipe) -> str:
     lines = [
         f"# Which fields has {recipe.title}?",
         "",
-        f"These. Give them as `FIELD=VALUE` behind `python -m {recipe.module}`. Their defaults stand in "
+        f"These. Give them as `FIELD=VALUE` behind `python -m {_command(recipe)}`. Their defaults stand in "
         f"{' and '.join(links)}, with the reasons.",
     ]
     if (folder / "preset").is_dir():
@@ -121,6 +142,10 @@ def page(recipe: Recipe) -> str:
         lines += ["", f"## {f'`{section}`' if section else 'The run'}", ""]
         lines += ["| field | default | is |", "|---|---|---|", *rows]
     return "\n".join(lines) + "\n"
+
+
+def _command(recipe: Recipe) -> str:
+    return f"{recipe.module} {recipe.chosen}".rstrip()
 
 
 if __name__ == "__main__":

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import torch
-from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 
-from recipes.training.task import Task
+from recipes.training import ppo
 
 BATCH = (
-    "observation",
-    "preference",
-    "noisy_action",
-    "noisy_action_log_prob",
-    "advantage",
-    "value_target",
+    *ppo.TRANSITION,
     "start_action",
     "human",
     "fails",
@@ -40,12 +33,3 @@ def failing(data: TensorDictBase) -> Tensor:
     """Which steps belong to an episode that ends in this batch, and not at the goal, ``[E, T]``."""
     episode = data["collector", "traj_ids"]
     return torch.isin(episode, episode[failed(data).squeeze(-1)])
-
-
-def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
-    """Gives out one batch of frames, shuffled, in small batches."""
-    return TensorDictReplayBuffer(
-        storage=LazyTensorStorage(cfg.collector.frames_per_batch, device=task.device),
-        sampler=SamplerWithoutReplacement(drop_last=True),
-        batch_size=cfg.optim.batch_size,
-    )

@@ -11,36 +11,22 @@ from __future__ import annotations
 import copy
 
 import torch
-import tqdm
 from omegaconf import DictConfig
-from torchrl._utils import timeit
-from torchrl.collectors import Collector
-from torchrl.envs import RewardScaling
+from tensordict import TensorDictBase
+from torch import Tensor
 
-from recipes.training import command
+from recipes.training import command, on_policy
 from recipes.training.agent import make_actor, make_averaged
-from recipes.training.checkpoint import Checkpoints, CollectorState, Counters, check_frames_left
-from recipes.training.corners import evaluate_corners
-from recipes.training.logs import (
-    announce,
-    crossed,
-    log_metrics,
-    make_loggers,
-    time_shares,
-    warn_if_failing,
-)
-from recipes.training.optimizers import step
-from recipes.training.pictures import trajectories_picture
-from recipes.training.policies import finish, save_training_policy
-from recipes.training.run_folder import write_run_info
+from recipes.training.corner_evaluation import CornerEvaluation
+from recipes.training.ppo import ENVS_AT_ONCE, make_advantage, make_loss, make_policy
+from recipes.training.ppo_optimizers import make_optimizers
 from recipes.training.task import make_task
 from torchrl_morl.deploy import load_policy
 
 from . import penalties
-from .batches import BATCH, failing, failure_rate, make_replay_buffer
+from .batches import BATCH, failing, failure_rate
 from .cloning import clone
-from .networks import ENVS_AT_ONCE, make_advantage, make_critic, make_loss, make_policy
-from .optimizers import make_optimizers, make_schedule, noise
+from .networks import make_critic
 from .schema import Config
 from .start import check_start, complete
 
@@ -67,135 +53,47 @@ def main(cfg: DictConfig) -> None:
     sigma = torch.tensor(list(cfg.collector.exploration_sigma), device=task.device)
     noisy, policy = make_policy(actor, sigma)
     critic = make_critic(cfg, task)
+    # Advantages of every objective, weighed by the preference of the episode.
     advantage = make_advantage(cfg, task, critic)
     loss = make_loss(cfg, noisy, critic)
     averaged = make_averaged(cfg, actor)
     optimizers = make_optimizers(cfg, loss)
-    replay_buffer = make_replay_buffer(cfg, task)
-    precision = torch.autocast(task.device.type, torch.bfloat16, enabled=task.facts["bfloat16"])
-    env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
     tunable = task.preference_space.tunable
     demo = tunable.index("demo") if "demo" in tunable else None
     anchored = demo is not None and cfg.loss.anchor_coeff > 0
     # What it started as: the anchor holds it where the style is preferred.
     start = copy.deepcopy(actor).requires_grad_(False) if anchored else None
 
-    collector = Collector(
-        env,
+    def prepare(data: TensorDictBase) -> None:
+        if start is not None:
+            data["start_action"] = penalties.start_action(
+                cfg, start, data, envs_at_once=ENVS_AT_ONCE
+            )
+        data["fails"] = failing(data)
+
+    def costs(batch: TensorDictBase) -> dict[str, Tensor]:
+        # Penalties are smooth: a part of the batch, which is shuffled, will do.
+        part = batch[: cfg.optim.penalty_batch_size]
+        return penalties.compute(cfg, part, actor, sigma=sigma, demo=demo if anchored else None)
+
+    on_policy.train(
+        cfg,
+        task,
         policy,
-        frames_per_batch=cfg.collector.frames_per_batch,
-        total_frames=cfg.collector.total_frames,
-        policy_device=task.device,
-        storing_device=task.device,
-        auto_register_policy_transforms=False,
+        actor,
+        averaged,
+        advantage,
+        loss,
+        optimizers,
+        evaluation=CornerEvaluation(cfg, task),
+        sigma=sigma,
+        read=BATCH,
+        prepare=prepare,
+        costs=costs,
+        measure=lambda data: {"failed": failure_rate(data)},
+        state={} if start is None else {"start": start},
+        facts={"start": facts} if facts else {},
     )
-    # The learning rate falls from frame `begin` on: 0, unless a training that was over goes on.
-    count = Counters(frames=0, begin=0)
-    checkpoints = Checkpoints(
-        task.run_dir / "checkpoints",
-        loss=loss,
-        advantage=advantage,
-        averaged=averaged,
-        **optimizers,
-        collector=CollectorState(collector, policy),
-        count=count,
-        **({} if start is None else {"start": start}),
-    )
-    if cfg.resume is not None:
-        checkpoints.load()
-        check_frames_left(cfg, count.frames)
-    schedule = make_schedule(cfg, optimizers["actor"], count.frames, count.begin)
-    # Nothing is written before the configuration has been accepted.
-    write_run_info(task.run_dir)
-    loggers = make_loggers(cfg, task.run_dir, begin=count.frames)
-    announce(cfg, task.run_dir)
-
-    progress = tqdm.tqdm(
-        total=cfg.collector.total_frames, initial=count.frames, unit="step", smoothing=0.05
-    )
-    done = count.frames // cfg.collector.frames_per_batch
-    for batches, data in enumerate(command.until_stopped(collector), start=done):
-        collected, frames = count.frames, count.frames + data.numel()
-        count.frames = frames
-        progress.update(data.numel())
-        # The critic starts from nothing: the actor waits until it has learned the values.
-        trains_actor = batches >= cfg.optim.critic_batches
-        advantage.lmbda.fill_(cfg.loss.lmbda if trains_actor else 1.0)
-        # Advantages of every objective, weighed by the preference of the episode.
-        with timeit("advantage"):
-            advantage(data)
-            if start is not None:
-                data["start_action"] = penalties.start_action(
-                    cfg, start, data, envs_at_once=ENVS_AT_ONCE
-                )
-            data["fails"] = failing(data)
-        replay_buffer.empty()
-        replay_buffer.extend(data.reshape(-1).select(*BATCH, strict=False))
-
-        metrics = {}
-        for _ in range(cfg.optim.epochs if trains_actor else cfg.optim.critic_epochs):
-            for batch in replay_buffer:
-                with timeit("update"):
-                    with precision:
-                        losses = loss(batch)
-                    step(optimizers["critic"], losses["loss_critic"], cfg.optim.max_grad_norm)
-                    if trains_actor:
-                        # Penalties are smooth: a part of the batch, which is shuffled, will do.
-                        part = batch[: cfg.optim.penalty_batch_size]
-                        with precision:
-                            costs = penalties.compute(
-                                cfg, part, actor, sigma=sigma, demo=demo if anchored else None
-                            )
-                        loss_actor = losses["loss_objective"]
-                        for name, cost in costs.items():
-                            loss_actor = loss_actor + cfg.loss[f"{name}_coeff"] * cost
-                        step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
-                        averaged.update_parameters(actor)
-                        metrics |= costs
-                metrics |= losses
-        if trains_actor:
-            schedule.step()
-        # Constant within a batch: likelihoods are compared under the noise that it was collected with.
-        sigma.copy_(noise(cfg, frames))
-        metrics["failed"] = failure_rate(data)
-        logged = {f"train/{name}": value.detach().mean() for name, value in metrics.items()}
-        log_metrics(loggers, logged, frames)
-
-        last = frames >= cfg.collector.total_frames
-        if last or crossed(cfg.evaluation.interval, collected, frames):
-            with timeit("evaluate"):
-                result = evaluate_corners(cfg, task, averaged.module)
-            log_metrics(loggers, result.metrics, frames)
-            save_training_policy(
-                task.run_dir / "policies" / f"{frames:09d}",
-                cfg,
-                averaged.module,
-                task,
-                result,
-                **({"start": facts} if facts else {}),
-            )
-            trajectories_picture(
-                task.run_dir / "pictures" / f"{frames:09d}.png",
-                task,
-                result,
-                frames=frames,
-                goal_radius=cfg.env.goal_radius,
-            )
-            tqdm.tqdm.write(result.table(frames))
-            # What goes on from the end has a schedule of its own.
-            count.begin = frames if last else count.begin
-            # Behind the small policy, which a full disk must not cost.
-            with timeit("checkpoint"):
-                checkpoints.save(frames)
-            progress.set_postfix(success=f"{result.success:.0f}%", score=f"{result.score:.2f}")
-    progress.close()
-    if command.stop_requested() and count.frames < cfg.collector.total_frames:
-        checkpoints.save(count.frames)
-        raise command.Stopped(f"after {count.frames:,} steps")
-    collector.shutdown()
-    print(time_shares())
-    warn_if_failing(result.success)
-    finish(task.run_dir, cfg)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from torchrl.objectives import SoftUpdate
 from recipes.training import off_policy
 from recipes.training.agent import make_averaged, make_policy
 from recipes.training.command import recipe
+from recipes.training.corner_evaluation import CornerEvaluation
 from recipes.training.corners import CornerResult
 from recipes.training.gradients import make_gradients
 from recipes.training.loss import make_loss, pre_tanh_coeff
@@ -73,6 +74,7 @@ def main(cfg: DictConfig) -> None:
         update,
         schedulers,
         state={"loss": loss, "averaged": averaged, **optimizers, **schedulers},
+        evaluation=CornerEvaluation(cfg, task),
         after_updates=decay_pre_tanh_penalty,
         after_evaluation=refit_interpolator,
     )

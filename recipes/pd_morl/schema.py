@@ -2,24 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from recipes.training import schema
-from recipes.training.fields import Decay, NotNegative
-
-
-class Compute(schema.Compute):
-    """With compilation and mixed precision."""
-
-    compile: bool = Field(description="Whether losses and their gradients are compiled.")
-    compile_mode: Literal[
-        "default", "lite", "reduce-overhead", "max-autotune-no-cudagraphs", "max-autotune"
-    ] = Field(description="Mode of torch.compile; on a GPU reduce-overhead is CUDA graphs.")
-    bfloat16: bool | None = Field(
-        description="Mixed precision of the updates; null is where the processor multiplies bfloat16."
-    )
+from recipes.training.fields import Decay
 
 
 class Network(schema.Network):
@@ -28,38 +14,6 @@ class Network(schema.Network):
     straight_drive: bool = Field(
         description="Whether critics learn what is left of the value of driving straight."
     )
-
-
-class Loss(schema.TD3Loss):
-    """The vector-Q loss of TD3 with the angle term."""
-
-    target_selection: Literal["utility", "elementwise"] = Field(
-        description="The smaller of two target critics, by utility or entry by entry."
-    )
-    angle: Literal["normalized", "raw"] | None = Field(
-        description="Space of the values between which the angle is taken; null is no angle."
-    )
-    interpolated: bool = Field(
-        description="Angle to the interpolated solutions, or straight along the preference."
-    )
-    angle_coeff_actor: NotNegative = Field(description="Factor on the angle in the actor's loss.")
-    angle_coeff_critic: NotNegative = Field(description="The same in the critics' loss.")
-    pre_tanh_coeff: NotNegative = Field(
-        description="Factor on the square of the actor's output before its tanh, at the start."
-    )
-    final_pre_tanh_coeff: NotNegative = Field(
-        description="The same at the end; between them it falls geometrically."
-    )
-
-    @model_validator(mode="after")
-    def _angle_has_an_effect(self) -> Loss:
-        coefficients = self.angle_coeff_actor, self.angle_coeff_critic
-        if self.angle is None and any(coefficients):
-            raise ValueError(
-                "an angle coefficient has no effect without loss.angle: loss.angle_coeff_actor and "
-                f"loss.angle_coeff_critic must be 0 with loss.angle=null, got {coefficients}."
-            )
-        return self
 
 
 class Evaluation(schema.Evaluation):
@@ -73,9 +27,9 @@ class Evaluation(schema.Evaluation):
 class Config(schema.OffPolicy):
     """PD-MORL."""
 
-    compute: Compute
+    compute: schema.CompiledCompute
     collector: schema.NoisyCollector
     network: Network
-    loss: Loss
+    loss: schema.AngleLoss
     optim: schema.TD3Optim
     evaluation: Evaluation

@@ -18,6 +18,7 @@ from torchrl.objectives import SoftUpdate
 from recipes.training import off_policy
 from recipes.training.agent import make_actor, make_averaged
 from recipes.training.command import recipe
+from recipes.training.corner_evaluation import CornerEvaluation
 from recipes.training.optimizers import make_optimizers, step
 from recipes.training.task import make_task
 
@@ -62,7 +63,17 @@ def main(cfg: DictConfig) -> None:
         }
 
     state = {"loss": loss, "averaged": averaged, **optimizers, **schedulers}
-    off_policy.train(cfg, task, policy, averaged, replay_buffer, update, schedulers, state)
+    off_policy.train(
+        cfg,
+        task,
+        policy,
+        averaged,
+        replay_buffer,
+        update,
+        schedulers,
+        state,
+        evaluation=CornerEvaluation(cfg, task),
+    )
 
 
 if __name__ == "__main__":

@@ -10,24 +10,26 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.modules import AdditiveGaussianModule
 
 import torchrl_morl.modules
-from envs.policy_env import observation_size
 from envs.straight_drive import StraightDriveValue
 from torchrl_morl.modules import make_vector_critic
 
+from .evaluation import Problem, observation_size
 from .task import Task
 
 
-def make_actor(cfg: DictConfig, task: Task) -> TensorDictSequential:
+def make_actor(cfg: DictConfig, task: Problem) -> TensorDictSequential:
     """The actor: observation and preference to an action in [-1, 1]."""
     return torchrl_morl.modules.make_actor(
         task.env.action_spec_unbatched,
-        in_features=observation_size(cfg.env) + task.preference_space.num_tunable,
+        in_features=observation_size(task) + task.preference_space.num_tunable,
         num_cells=cfg.network.num_cells,
         device=task.device,
     )
 
 
-def make_policy(cfg: DictConfig, task: Task) -> tuple[TensorDictSequential, TensorDictSequential]:
+def make_policy(
+    cfg: DictConfig, task: Problem
+) -> tuple[TensorDictSequential, TensorDictSequential]:
     """The actor, and the actor followed by exploration noise, which is its last module."""
     actor = make_actor(cfg, task)
     spec = task.env.action_spec_unbatched
@@ -41,12 +43,12 @@ def make_policy(cfg: DictConfig, task: Task) -> tuple[TensorDictSequential, Tens
     return actor, TensorDictSequential(actor, noise)
 
 
-def make_critic(cfg: DictConfig, task: Task, num_values: int) -> TensorDictModule:
+def make_critic(cfg: DictConfig, task: Problem, num_values: int) -> TensorDictModule:
     """A critic with so many values of a state, a preference and an action."""
     action_size = task.env.action_spec_unbatched.shape[-1]
     return make_vector_critic(
         num_values,
-        in_features=observation_size(cfg.env) + task.preference_space.num_tunable + action_size,
+        in_features=observation_size(task) + task.preference_space.num_tunable + action_size,
         num_cells=cfg.network.num_cells,
         layer_norm=cfg.network.critic_layer_norm,
         device=task.device,

@@ -37,6 +37,11 @@ class Leaf:
         return allowed(self.field)
 
     @property
+    def is_mapping(self) -> bool:
+        """If its keys are the user's."""
+        return get_origin(_unwrap(self.field.annotation, ())[0]) is dict
+
+    @property
     def path(self) -> IsPath | None:
         """If it is a path."""
         return next((one for one in _metadata(self.field) if isinstance(one, IsPath)), None)

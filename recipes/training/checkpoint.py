@@ -144,7 +144,8 @@ class BufferState:
 class CollectorState:
     """Where a collector stands in the middle of its episodes: the simulation, and what is seen of it.
 
-    TorchRL's own state of a collector begins new episodes, as simulations in general cannot be saved.
+    TorchRL's own state of a collector begins new episodes, as simulations in general cannot be saved. So
+    does this one in an environment without ``simulation_state``.
 
     Args:
         collector: of one process.
@@ -157,26 +158,33 @@ class CollectorState:
     def state_dict(self) -> dict[str, Any]:
         """The environment and its transforms, what was seen last, exploration, counters."""
         collector = self.collector
-        return {
+        state = {
             "frames": collector._frames,
             "iterations": collector._iter,
             "trajectories": collector._traj_pool.state_dict(),
-            "carrier": collector._carrier.flatten_keys("/").to_dict(),
             "policy": self.policy.state_dict(),
-            "simulation": collector.env.base_env.simulation_state(),
             "transforms": [one.state_dict() for one in _stateful(collector.env)],
         }
+        if hasattr(collector.env.base_env, "simulation_state"):
+            state["carrier"] = collector._carrier.flatten_keys("/").to_dict()
+            state["simulation"] = collector.env.base_env.simulation_state()
+        return state
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on there, in an environment of the same configuration."""
         collector = self.collector
-        collector.env.base_env.load_simulation_state(state["simulation"])
+        collector._traj_pool.load_state_dict(state["trajectories"])
+        if "simulation" in state:
+            collector.env.base_env.load_simulation_state(state["simulation"])
+            carrier = TensorDict(state["carrier"], batch_size=collector._carrier.batch_size)
+            collector._carrier.update(carrier.unflatten_keys("/"))
+        else:
+            # Not the episodes that the training began with once more.
+            collector.env.set_seed(state["frames"])
+            collector.reset()
         for transform, saved in zip(_stateful(collector.env), state["transforms"], strict=True):
             transform.load_state_dict(saved)
-        carrier = TensorDict(state["carrier"], batch_size=collector._carrier.batch_size)
-        collector._carrier.update(carrier.unflatten_keys("/"))
         self.policy.load_state_dict(state["policy"])
-        collector._traj_pool.load_state_dict(state["trajectories"])
         collector._frames, collector._iter = state["frames"], state["iterations"]
 
 

@@ -187,6 +187,11 @@ Distribution = Literal["jeffreys", "dirichlet", "abs_normal"]
 LossFunction = Literal["smooth_l1", "l2", "l1"]
 Backend = Literal["csv", "tensorboard", "wandb", "mlflow", "trackio"]
 
+LoggerArguments = Annotated[
+    dict[Literal["wandb", "mlflow", "trackio"], dict[str, Any]],
+    Allows("arguments of wandb, mlflow or trackio by its name"),
+]
+
 
 def checked_faults(faults: dict[str, Any]) -> None:
     """Refuse faults that the environment refuses.

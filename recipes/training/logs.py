@@ -7,11 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import tqdm
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tensorboard.compat.proto.event_pb2 import Event, SessionLog
 from torch import Tensor
 from torchrl._utils import timeit
-from torchrl.record.loggers import Logger, TensorboardLogger, get_logger
+from torchrl.record.loggers import (
+    Logger,
+    MLFlowLogger,
+    TensorboardLogger,
+    WandbLogger,
+    get_logger,
+)
+from torchrl.record.loggers.trackio import TrackioLogger
 
 from torchrl_morl.preferences import PreferenceSpace
 
@@ -21,9 +28,9 @@ from .checkpoint import Counters
 def make_loggers(cfg: DictConfig, run_dir: Path, *, begin: int = 0) -> list[Logger]:
     """The loggers of the configuration; what they hold of later than ``begin`` steps comes again."""
     forget_later_rows(run_dir / "log_csv", begin)
+    arguments = OmegaConf.to_container(cfg.logger, resolve=True).get("arguments") or {}
     loggers = [
-        get_logger(backend, logger_name=str(run_dir), experiment_name=f"log_{backend}")
-        for backend in cfg.logger.backends
+        make_logger(backend, run_dir, arguments.get(backend, {})) for backend in cfg.logger.backends
     ]
     for logger in loggers:
         if isinstance(logger, TensorboardLogger) and begin:
@@ -32,6 +39,33 @@ def make_loggers(cfg: DictConfig, run_dir: Path, *, begin: int = 0) -> list[Logg
             writer = logger.experiment._get_file_writer()
             writer.add_event(Event(step=begin + 1, session_log=restart))
     return loggers
+
+
+def make_logger(backend: str, run_dir: Path, arguments: dict[str, Any]) -> Logger:
+    """A logger of TorchRL.
+
+    Args:
+        backend: its name.
+        run_dir: of the training, to which files go; other backends call the run after it.
+        arguments: of the logger, and behind it of ``wandb.init`` or ``trackio.init``.
+
+    Raises:
+        ValueError: if the logger takes no such arguments, or cannot begin.
+    """
+    if backend in ("csv", "tensorboard"):
+        return get_logger(backend, logger_name=str(run_dir), experiment_name=f"log_{backend}")
+    kind, defaults = {
+        "wandb": (WandbLogger, {"save_dir": str(run_dir)}),
+        "trackio": (TrackioLogger, {"project": "torchrl_morl"}),
+        "mlflow": (MLFlowLogger, {"tracking_uri": f"sqlite:///{run_dir.resolve()}/mlflow.db"}),
+    }[backend]
+    try:
+        logger = kind(**{"exp_name": run_dir.name, **defaults, **arguments})
+        _ = logger.experiment  # which some begin when they are first asked for it
+    except Exception as error:  # of packages that have their own
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(f"logger.backends: {backend} with {arguments}: {what}") from error
+    return logger
 
 
 def forget_later_rows(folder: Path, last: int) -> None:
@@ -76,15 +110,14 @@ def log_training(
     log_metrics(loggers, flat, frames)
 
 
-def progress_line(progress: tqdm.tqdm, count: Counters) -> dict[str, str]:
-    """Beside steps/s and the time left, which the bar itself shows."""
+def progress_line(progress: tqdm.tqdm, count: Counters, shown: dict[str, str]) -> dict[str, str]:
+    """Beside steps/s and the time left, which the bar itself shows; ``shown`` are names and formats."""
     bar = progress.format_dict
     # A resumed training has made some of its updates in another process.
     share = (bar["n"] - bar["initial"]) / max(bar["n"], 1)
     return {
         "updates/s": f"{share * count.updates / max(bar['elapsed'], 1e-9):.1f}",
-        "success": f"{count.success:.0f}%",
-        "score": f"{count.score:.2f}",
+        **{name: form.format(getattr(count, name)) for name, form in shown.items()},
     }
 
 

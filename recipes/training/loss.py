@@ -9,14 +9,14 @@ from torchrl_morl.modules import PreferenceInterpolator
 from torchrl_morl.objectives import MOTD3Loss
 
 from .agent import add_straight_drive, make_critic, make_straight_drive_value
-from .task import Task
+from .evaluation import Problem
 
 
-def make_loss(cfg: DictConfig, task: Task, actor: TensorDictModule) -> MOTD3Loss:
+def make_loss(cfg: DictConfig, task: Problem, actor: TensorDictModule) -> MOTD3Loss:
     """Vector-Q TD3 with the angle term."""
     preference_space = task.preference_space
     critics = [make_critic(cfg, task, preference_space.num_objectives) for _ in range(2)]
-    if cfg.network.straight_drive:
+    if cfg.network.get("straight_drive"):  # of navigation alone
         value = make_straight_drive_value(cfg, task)
         critics = [add_straight_drive(critic, value, ["observation"]) for critic in critics]
     loss = MOTD3Loss(

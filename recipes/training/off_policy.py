@@ -18,12 +18,9 @@ from torchrl.data import TensorDictReplayBuffer
 
 from . import command, logs
 from .checkpoint import BufferState, Checkpoints, CollectorState, Counters, check_frames_left
-from .corners import CornerResult, evaluate_corners
-from .pictures import trajectories_picture
-from .policies import finish, save_training_policy
+from .evaluation import Evaluation, Problem, Result
 from .replay import TRANSITION
 from .run_folder import write_run_info
-from .task import Task
 
 Update = Callable[[TensorDictBase, int, int], dict[str, Tensor]]
 """``update(batch, updates, frames)``: one update of an agent, the count of it from 1, frames so far."""
@@ -31,7 +28,7 @@ Update = Callable[[TensorDictBase, int, int], dict[str, Tensor]]
 
 def train(
     cfg: DictConfig,
-    task: Task,
+    problem: Problem,
     policy: TensorDictModule,
     averaged: AveragedModel,
     replay_buffer: TensorDictReplayBuffer,
@@ -39,14 +36,15 @@ def train(
     schedulers: dict[str, torch.optim.lr_scheduler.LRScheduler],
     state: dict[str, Any],
     *,
+    evaluation: Evaluation,
     after_updates: Callable[[int], None] | None = None,
-    after_evaluation: Callable[[CornerResult], None] | None = None,
+    after_evaluation: Callable[[Result], None] | None = None,
 ) -> None:
     """Train an agent and save its policies in the run folder.
 
     Args:
         cfg: the configuration.
-        task: what :func:`make_task` made of it.
+        problem: where and for what it is trained.
         policy: collects. If its last module has a ``step`` to anneal exploration, it is called.
         averaged: the policy that is evaluated and saved.
         replay_buffer: keeps what is collected; a sample of it is for all updates of a batch of frames.
@@ -55,6 +53,7 @@ def train(
         state: what a checkpoint holds.
 
     Keyword Args:
+        evaluation: judges the averaged policy, and saves it.
         after_updates: called after those of a batch of frames, with the frames so far.
         after_evaluation: called with its result, before anything is saved.
 
@@ -62,19 +61,19 @@ def train(
         Stopped: where somebody has, see :mod:`.command`.
     """
     collector = Collector(
-        task.env,
+        problem.env,
         policy,
         frames_per_batch=cfg.collector.frames_per_batch,
         total_frames=cfg.collector.total_frames,
         init_random_frames=cfg.collector.init_random_frames,
-        policy_device=task.device,
-        storing_device=task.device,
+        policy_device=problem.device,
+        storing_device=problem.device,
         auto_register_policy_transforms=False,
     )
     anneal = getattr(policy[-1], "step", None)
-    count = Counters(frames=0, updates=0, score=float("nan"), success=float("nan"))
+    count = Counters(frames=0, updates=0, **dict.fromkeys(evaluation.shown, float("nan")))
     checkpoints = Checkpoints(
-        task.run_dir / "checkpoints",
+        problem.run_dir / "checkpoints",
         **state,
         replay_buffer=BufferState(replay_buffer),
         collector=CollectorState(collector, policy),
@@ -83,9 +82,9 @@ def train(
     if cfg.resume is not None:
         checkpoints.load()
         check_frames_left(cfg, count.frames)
-    write_run_info(task.run_dir)
-    loggers = logs.make_loggers(cfg, task.run_dir, begin=count.frames)
-    logs.announce(cfg, task.run_dir)
+    write_run_info(problem.run_dir)
+    loggers = logs.make_loggers(cfg, problem.run_dir, begin=count.frames)
+    logs.announce(cfg, problem.run_dir)
     progress = tqdm.tqdm(
         total=cfg.collector.total_frames, initial=count.frames, unit="step", smoothing=0.05
     )
@@ -112,27 +111,18 @@ def train(
                 after_updates(frames)
 
         if metrics and logs.crossed(cfg.logger.interval, collected, frames):
-            logs.log_training(loggers, metrics, task.preference_space, frames, count.updates)
-            progress.set_postfix(logs.progress_line(progress, count))
+            logs.log_training(loggers, metrics, problem.preference_space, frames, count.updates)
+            progress.set_postfix(logs.progress_line(progress, count, evaluation.shown))
 
         last = frames >= cfg.collector.total_frames
         if count.updates and (last or logs.crossed(cfg.evaluation.interval, collected, frames)):
             with timeit("evaluate"):
-                result = evaluate_corners(cfg, task, averaged.module)
+                result = evaluation(averaged.module)
             if after_evaluation is not None:
                 after_evaluation(result)
-            count.score, count.success = result.score, result.success
-            logs.log_metrics(loggers, result.metrics, frames)
-            # The small policy first: it is what a full disk must not cost.
-            folder = task.run_dir / "policies" / f"{frames:09d}"
-            save_training_policy(folder, cfg, averaged.module, task, result)
-            trajectories_picture(
-                task.run_dir / "pictures" / f"{frames:09d}.png",
-                task,
-                result,
-                frames=frames,
-                goal_radius=cfg.env.goal_radius,
-            )
+            for name in evaluation.shown:
+                setattr(count, name, getattr(result, name))
+            evaluation.save(averaged.module, result, frames, loggers)
             tqdm.tqdm.write(result.table(frames))
             # Last, so that it is of a whole step; and after the small policy, if the disk is full.
             with timeit("checkpoint"):
@@ -143,5 +133,4 @@ def train(
         raise command.Stopped(f"after {count.frames:,} steps")
     collector.shutdown()
     print(logs.time_shares())
-    logs.warn_if_failing(count.success)
-    finish(task.run_dir, cfg)
+    evaluation.end(result)

@@ -66,9 +66,10 @@ def prepared(
             if owner is None and key not in sections:
                 raise ConfigurationError(unknown_field(key, schema))
             is_path = key == owner and known[owner].path is not None
-            if key == owner:
+            if owner is not None:
                 # What the YAML does not have Hydra adds only if told so.
-                sign = "++" if known[owner].optional else ""
+                leaf = known[owner]
+                sign = "++" if leaf.optional or leaf.is_mapping else ""
         if is_path:
             value = _path_value(value, multirun=multirun)
         result.append(f"{sign}{key}={value}")

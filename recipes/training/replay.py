@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import Compose, RewardScaling
 
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.transforms import PreferenceRelabel, RewardModelReward
 
+from .evaluation import Problem
 from .task import Task, check_observation
 
 TRANSITION = (
@@ -24,7 +25,7 @@ TRANSITION = (
 """What the replay buffer keeps."""
 
 
-def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
+def make_replay_buffer(cfg: DictConfig, task: Problem) -> TensorDictReplayBuffer:
     """A buffer that relabels what it gives out, with demonstrations in it if there are any.
 
     A sample is for all updates of a batch of frames at once: it costs hardly more than one for one.
@@ -42,7 +43,7 @@ def make_replay_buffer(cfg: DictConfig, task: Task) -> TensorDictReplayBuffer:
             ),
         ),
     )
-    if cfg.demonstrations.dataset:
+    if OmegaConf.select(cfg, "demonstrations.dataset"):  # of navigation alone
         prefill(cfg, task, replay_buffer)
     return replay_buffer
 

@@ -165,7 +165,7 @@ def write_run_info(run_dir: Path) -> None:
 
 
 def _start(run_dir: Path, diff: str) -> dict[str, Any]:
-    packages = ("torch", "torchrl", "tensordict", "mujoco", "numpy")
+    packages = ("torch", "torchrl", "tensordict", "mujoco", "gymnasium", "mo-gymnasium", "numpy")
     return {
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "python": platform.python_version(),

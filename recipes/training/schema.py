@@ -20,6 +20,7 @@ from .fields import (
     Discount,
     Distribution,
     Layers,
+    LoggerArguments,
     LossFunction,
     NotNegative,
     Objectives,
@@ -187,6 +188,38 @@ class TD3Loss(Loss):
     noise_clip: NotNegative = Field(description="Where that noise is cut, in the same units.")
 
 
+class AngleLoss(TD3Loss):
+    """The vector-Q loss of PD-MORL: with the angle term."""
+
+    target_selection: Literal["utility", "elementwise"] = Field(
+        description="The smaller of two target critics, by utility or entry by entry."
+    )
+    angle: Literal["normalized", "raw"] | None = Field(
+        description="Space of the values between which the angle is taken; null is no angle."
+    )
+    interpolated: bool = Field(
+        description="Angle to the interpolated solutions, or straight along the preference."
+    )
+    angle_coeff_actor: NotNegative = Field(description="Factor on the angle in the actor's loss.")
+    angle_coeff_critic: NotNegative = Field(description="The same in the critics' loss.")
+    pre_tanh_coeff: NotNegative = Field(
+        description="Factor on the square of the actor's output before its tanh, at the start."
+    )
+    final_pre_tanh_coeff: NotNegative = Field(
+        description="The same at the end; between them it falls geometrically."
+    )
+
+    @model_validator(mode="after")
+    def _angle_has_an_effect(self) -> AngleLoss:
+        coefficients = self.angle_coeff_actor, self.angle_coeff_critic
+        if self.angle is None and any(coefficients):
+            raise ValueError(
+                "an angle coefficient has no effect without loss.angle: loss.angle_coeff_actor and "
+                f"loss.angle_coeff_critic must be 0 with loss.angle=null, got {coefficients}."
+            )
+        return self
+
+
 class Optim(Section):
     """How networks are updated."""
 
@@ -221,6 +254,18 @@ class Backends(Section):
     """Where scalars are written."""
 
     backends: list[Backend] = Field(description="Loggers that record the training.")
+    arguments: LoggerArguments = Field(
+        description="Arguments of loggers, such as {wandb: {offline: true, project: mine}}."
+    )
+
+    @model_validator(mode="after")
+    def _arguments_of_backends(self) -> Backends:
+        if other := [name for name in self.arguments if name not in self.backends]:
+            raise ValueError(
+                f"logger.arguments are for {other[0]}, which is not among logger.backends, "
+                f"{self.backends}: add it there."
+            )
+        return self
 
 
 class Logger(Backends):
@@ -233,6 +278,18 @@ class Compute(Section):
     """What a training computes with."""
 
     torch_threads: int = Field(ge=1, le=1024, description="Threads that PyTorch computes with.")
+
+
+class CompiledCompute(Compute):
+    """With compilation and mixed precision."""
+
+    compile: bool = Field(description="Whether losses and their gradients are compiled.")
+    compile_mode: Literal[
+        "default", "lite", "reduce-overhead", "max-autotune-no-cudagraphs", "max-autotune"
+    ] = Field(description="Mode of torch.compile; on a GPU reduce-overhead is CUDA graphs.")
+    bfloat16: bool | None = Field(
+        description="Mixed precision of the updates; null is where the processor multiplies bfloat16."
+    )
 
 
 class OffPolicy(Section):
@@ -255,18 +312,7 @@ class OffPolicy(Section):
     def _fits_together(self) -> OffPolicy:
         check_batches(self.collector.frames_per_batch, self.env.num_envs)
         check_segments(self.preference.num_segments, self.env.num_envs)
-        collector = self.collector
-        if collector.total_frames <= collector.init_random_frames:
-            raise ValueError(
-                "collector.total_frames must be greater than collector.init_random_frames, "
-                f"{collector.init_random_frames}, got {collector.total_frames}: nothing is learned "
-                "before."
-            )
-        if self.replay_buffer.size < collector.frames_per_batch:
-            raise ValueError(
-                "replay_buffer.size must be at least collector.frames_per_batch, "
-                f"{collector.frames_per_batch}, got {self.replay_buffer.size}."
-            )
+        check_experience(self.collector, self.replay_buffer)
         return self
 
 
@@ -292,4 +338,23 @@ def check_segments(num_segments: int | None, num_envs: int) -> None:
     if num_segments is not None and num_segments > num_envs:
         raise ValueError(
             f"preference.num_segments must be at most env.num_envs, {num_envs}, got {num_segments}."
+        )
+
+
+def check_experience(collector: Collector, replay_buffer: ReplayBuffer) -> None:
+    """Refuse a training that learns nothing, or a buffer that does not hold a batch.
+
+    Raises:
+        ValueError: if there are no steps behind the random ones, or for too small a buffer.
+    """
+    if collector.total_frames <= collector.init_random_frames:
+        raise ValueError(
+            "collector.total_frames must be greater than collector.init_random_frames, "
+            f"{collector.init_random_frames}, got {collector.total_frames}: nothing is learned "
+            "before."
+        )
+    if replay_buffer.size < collector.frames_per_batch:
+        raise ValueError(
+            "replay_buffer.size must be at least collector.frames_per_batch, "
+            f"{collector.frames_per_batch}, got {replay_buffer.size}."
         )

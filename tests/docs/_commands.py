@@ -18,6 +18,7 @@ from unittest import mock
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+from recipes.training.overrides import prepared
 from tests.docs._pages import ROOT
 from tools.configuration_pages import RECIPES
 
@@ -91,7 +92,8 @@ def problem(command: Command) -> str | None:
         return f"there is no module {module}"
     if module.split(".")[0] in ("examples", "tools"):
         return None
-    if recipe := next((one for one in RECIPES if one.module == module), None):
+    if found := [one for one in RECIPES if one.module == module]:
+        recipe = next((one for one in found if one.chosen in arguments), found[0])
         fields = [one for one in arguments if one not in HYDRA and one != "job"]
         return refused(recipe, fields)
     known = options(module)
@@ -141,7 +143,8 @@ def refused(recipe, fields: list[str]) -> str | None:
     swept = [re.sub(r"=(\d+)(,\d+)+$", r"=\1", one) for one in fields]
     try:
         with initialize_config_dir(str(folder), version_base="1.3"):
-            config = OmegaConf.to_container(compose(recipe.config, swept))
+            overrides = prepared(swept, recipe.schema, folder)
+            config = OmegaConf.to_container(compose(recipe.config, overrides))
         given = {key: value for key, value in config.items() if value != "???"}
         recipe.schema.model_validate(
             {"policy": "FOLDER", **given} if recipe.page == "mo_ppo" else given

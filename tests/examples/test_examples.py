@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from importlib import import_module
 from pathlib import Path
@@ -15,12 +16,14 @@ import recipes.objectives
 from envs import NavigationEnv
 from examples import (
     doorway,
+    my_environment,
     my_robot,
     numpy_controller,
     objective,
     preferences,
     record_drives,
     unit_test_a_loss,
+    vector_td3,
 )
 
 
@@ -107,6 +110,27 @@ def test_the_shipped_drives_are_what_their_script_records(tmp_path):
     record_drives.main(str(file))
     shipped = Path(record_drives.__file__).with_name("drives_right.csv")
     assert file.read_text() == shipped.read_text()
+
+
+def test_an_environment_of_ones_own():
+    source = inspect.getsource(my_environment)
+    assert len(source.splitlines()) <= 30
+    shown, *_ = _blocks("environment.md", "python")
+    assert inspect.getsource(my_environment.Cart) in shown
+    cart = my_environment.Cart()
+    cart.reset(seed=0)
+    for _ in range(100):
+        _, reward, *_ = cart.step([0.5])
+    # At rest between force and friction the speed is the force.
+    assert reward == pytest.approx([0.5, -0.25], abs=1e-6)
+
+
+def test_training_with_the_parts_alone(capsys):
+    assert len(inspect.getsource(vector_td3).splitlines()) < 80
+    returns = vector_td3.main(steps=100, episode=20)
+    assert returns.shape == (5, 2) and returns.isfinite().all()
+    printed = capsys.readouterr().out
+    assert "hypervolume above (-1000, -1000): " in printed and "expected utility: " in printed
 
 
 PAGES = Path(doorway.__file__).parents[1] / "docs" / "how_to"

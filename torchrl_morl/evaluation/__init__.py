@@ -1,7 +1,13 @@
 """Evaluation: rollouts over preferences, metrics of trajectories, pictures and videos."""
 
 from .frechet import discrete_frechet, resample_path
-from .indicators import expected_utility, hypervolume, steerability
+from .indicators import (
+    expected_utility,
+    hypervolume,
+    non_dominated,
+    sparsity,
+    steerability,
+)
 from .intervals import (
     Interval,
     bootstrap_interval,
@@ -49,6 +55,7 @@ __all__ = [
     "min_human_distance",
     "min_surface_distance",
     "min_time_to_collision",
+    "non_dominated",
     "path_irregularity",
     "path_length",
     "personal_space_compliance",
@@ -58,6 +65,7 @@ __all__ = [
     "shortest_path_length",
     "significance_mark",
     "space_violations",
+    "sparsity",
     "spl",
     "stalled_time",
     "steerability",

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchrl_morl._extras import from_extra
 
-__all__ = ["expected_utility", "hypervolume", "steerability"]
+__all__ = ["expected_utility", "hypervolume", "non_dominated", "sparsity", "steerability"]
 
 
 def steerability(preference: Tensor, metric: Tensor) -> float:
@@ -73,6 +73,66 @@ def hypervolume(values: Tensor, reference: Tensor) -> float:
         import moocore
 
     return float(moocore.hypervolume(points, ref=corner, maximise=True))
+
+
+def non_dominated(values: Tensor) -> np.ndarray:
+    """Which points no other one dominates; of equal points the first.
+
+    Args:
+        values: ``[P, K]``, larger is better in every objective.
+
+    Returns:
+        Booleans ``[P]``.
+
+    Raises:
+        ValueError: for values that are no table, or NaN.
+        ImportError: without moocore (``pip install 'torchrl-morl[indicators]'``).
+
+    Examples:
+        >>> non_dominated([[1.0, 3.0], [2.0, 1.0], [1.0, 2.0], [2.0, 1.0]]).tolist()
+        [True, True, False, False]
+    """
+    points = np.asarray(values, dtype=float)
+    if points.ndim != 2 or np.isnan(points).any():
+        raise ValueError(f"values must be numbers [P, K] without NaN, got {points.shape}.")
+    with from_extra("indicators", "non_dominated"):
+        import moocore
+
+    return np.asarray(moocore.is_nondominated(points, maximise=True), dtype=bool)
+
+
+def sparsity(values: Tensor) -> float:
+    r"""Mean squared gap between neighbours of a front, as Xu et al. (2020) report it beside hypervolume.
+
+    .. math::
+        \frac{1}{P - 1} \sum_k \sum_i (v^k_{(i)} - v^k_{(i+1)})^2
+
+    over the :math:`P` points that none dominates, sorted in each objective (PGMORL,
+    https://proceedings.mlr.press/v119/xu20h.html). **It misleads**: a policy that does the same under
+    every preference has one point, and the best value there is, 0. Read it beside
+    :func:`hypervolume` and :func:`expected_utility`, never alone; MORL-Baselines advises against it.
+
+    Args:
+        values: ``[P, K]``, larger is better in every objective.
+
+    Returns:
+        The sparsity, in squared units of the objectives; 0 for a single point.
+
+    Raises:
+        ValueError: for values that are no table, or NaN.
+        ImportError: without moocore (``pip install 'torchrl-morl[indicators]'``).
+
+    Examples:
+        >>> sparsity([[0.0, 4.0], [1.0, 2.0], [3.0, 0.0]])  # (1 + 4 + 4 + 4) / 2
+        6.5
+        >>> sparsity([[1.0, 1.0]])
+        0.0
+    """
+    points = np.asarray(values, dtype=float)
+    front = points[non_dominated(points)]
+    if len(front) < 2:
+        return 0.0
+    return float(np.square(np.diff(np.sort(front, axis=0), axis=0)).sum() / (len(front) - 1))
 
 
 def expected_utility(

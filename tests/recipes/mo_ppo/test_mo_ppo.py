@@ -17,8 +17,9 @@ from torchrl.data import Bounded
 
 from envs import NavigationEnv
 from recipes.mo_ppo import mo_ppo
-from recipes.mo_ppo.optimizers import make_schedule, noise
+from recipes.training import on_policy
 from recipes.training.checkpoint import SafeStateAdapter
+from recipes.training.ppo_optimizers import make_schedule, noise
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.data import save_demonstrations
@@ -127,7 +128,7 @@ def test_critic_learns_first(polished, tmp_path):
 
 def test_critic_alone_learns_whole_returns_in_more_passes(polished, tmp_path, monkeypatch):
     start, _ = polished
-    seen, plain_advantage, plain_step = [], mo_ppo.make_advantage, mo_ppo.step
+    seen, plain_advantage, plain_step = [], mo_ppo.make_advantage, on_policy.step
 
     def make_advantage(*args):
         advantage = plain_advantage(*args)
@@ -143,7 +144,7 @@ def test_critic_alone_learns_whole_returns_in_more_passes(polished, tmp_path, mo
         return plain_step(optimizer, loss, *args)
 
     monkeypatch.setattr(mo_ppo, "make_advantage", make_advantage)
-    monkeypatch.setattr(mo_ppo, "step", step)
+    monkeypatch.setattr(on_policy, "step", step)
     run(tmp_path / "run", start, "optim.critic_batches=2", "optim.critic_epochs=3")
     # Four batches of two small ones: of the critic, and then of the critic and of the actor.
     alone, both = [1.0, *["step"] * 2 * 3], [0.8, *["step"] * 2 * 2]

@@ -15,9 +15,10 @@ from torchrl.data import Bounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from envs import NavigationEnv
-from recipes.mo_ppo import networks, penalties
+from recipes.mo_ppo import penalties
 from recipes.mo_ppo.batches import BATCH, failing, failure_rate
-from recipes.mo_ppo.networks import make_advantage, make_loss, make_policy
+from recipes.training import ppo
+from recipes.training.ppo import make_advantage, make_loss, make_policy
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.modules import make_actor, make_vector_critic
 from torchrl_morl.objectives import MultiObjectiveGAE
@@ -158,7 +159,7 @@ def test_values_do_not_depend_on_how_many_environments_are_evaluated_at_once(mon
     task = SimpleNamespace(preference_space=SPACE, device=torch.device("cpu"))
     results = []
     for number in (2, 5):
-        monkeypatch.setattr(networks, "ENVS_AT_ONCE", number)
+        monkeypatch.setattr(ppo, "ENVS_AT_ONCE", number)
         results.append(make_advantage(configuration(), task, critic)(data.clone()))
     assert results[0]["advantage"].std() > 0.1
     for key in ("advantage", "value_target"):

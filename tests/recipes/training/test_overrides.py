@@ -71,6 +71,8 @@ def test_paths_of_fields_are_read_as_they_were_given(path, field, tmp_path, monk
         (r"demonstrations.dataset=a\,b", r"demonstrations.dataset=a\,b"),
         ("env.robot={name: x}", "env.robot={name: x}"),
         ("env.faults.latency=1", "++env.faults.latency=1"),
+        ("env.rewards={goal_reward: 5}", "++env.rewards={goal_reward: 5}"),
+        ("env.rewards.goal_reward=5", "++env.rewards.goal_reward=5"),
         ("preset=quick", "preset=quick"),
         ("hydra.verbose=true", "hydra.verbose=true"),
         ("loss.loss_function=l2", "loss.loss_function=l2"),

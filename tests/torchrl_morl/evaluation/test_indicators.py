@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from torchrl_morl.evaluation import expected_utility, hypervolume
+from torchrl_morl.evaluation import expected_utility, hypervolume, non_dominated, sparsity
 
 POINTS = torch.tensor([[1.0, 3.0], [2.0, 2.0], [3.0, 1.0]])
 
@@ -60,3 +60,20 @@ def test_what_is_refused():
         expected_utility(torch.eye(2), POINTS, choice="commanded")
     with pytest.raises(ValueError, match="choice must be"):
         expected_utility(torch.eye(2), POINTS, choice="worst")
+
+
+def test_what_no_point_dominates():
+    points = torch.tensor([[3.0, 0.0], [2.0, 2.0], [1.0, 2.0], [0.0, 3.0], [2.0, 2.0]])
+    assert non_dominated(points).tolist() == [True, True, False, True, False]
+    with pytest.raises(ValueError, match="without NaN"):
+        non_dominated([[float("nan"), 1.0]])
+
+
+def test_sparsity_by_hand_and_what_misleads():
+    # Gaps of 1 and 2 in the first, of 2 and 1 in the second objective; the last point is dominated.
+    points = torch.tensor([[0.0, 3.0], [1.0, 1.0], [3.0, 0.0], [0.0, 0.0]])
+    assert sparsity(points) == (1 + 4 + 4 + 1) / 2
+    # A policy that ignores its preference has the best value that there is.
+    assert sparsity(torch.ones(5, 2)) == 0.0 < sparsity(points)
+    low = torch.full((2,), -1.0)
+    assert hypervolume(torch.ones(5, 2), low) == 4.0 < hypervolume(points, low) == 8.0

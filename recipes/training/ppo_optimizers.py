@@ -1,9 +1,9 @@
-"""Optimizers, and the schedules of the learning rate and of the noise."""
+"""Optimizers of MO-PPO, and the schedules of the learning rate and of the noise."""
 
 from __future__ import annotations
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from torchrl.objectives import ClipPPOLoss
 
 
@@ -44,10 +44,14 @@ def make_schedule(
 
 
 def noise(cfg: DictConfig, frames: int) -> torch.Tensor:
-    """Standard deviations ``[A]`` after so many frames: they fall geometrically to the final ones."""
+    """Standard deviations after so many frames: they fall geometrically to the final ones.
+
+    Returns:
+        One for each entry of the action, or a single one, as the configuration has them.
+    """
     first, last = (
-        torch.tensor(list(sigma))
-        for sigma in (cfg.collector.exploration_sigma, cfg.collector.final_exploration_sigma)
+        torch.as_tensor(OmegaConf.to_container(cfg.collector)[name], dtype=torch.float32)
+        for name in ("exploration_sigma", "final_exploration_sigma")
     )
     share = min(1.0, frames / cfg.collector.total_frames)
     return first * (last / first) ** share

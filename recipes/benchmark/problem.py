@@ -1,0 +1,113 @@
+"""What an agent is given: environments with a vector reward, and preferences over its entries."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from torchrl.data import Categorical
+from torchrl.envs import Compose, EnvBase, TransformedEnv
+
+from envs.mo_gym import VectorMOGymEnv, make_mo_gym_env
+from recipes.training.gradients import use_bfloat16
+from recipes.training.run_folder import check_run_dir
+from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.transforms import PreferenceSampler
+
+
+@dataclasses.dataclass(frozen=True)
+class BenchmarkProblem:
+    """A :class:`~recipes.training.evaluation.Problem` that anybody may have written."""
+
+    run_dir: Path
+    device: torch.device
+    preference_space: PreferenceSpace
+    env: EnvBase
+    """Where it trains."""
+    eval_env: EnvBase
+    reference: tuple[float, ...]
+    """Of the hypervolume, one entry per objective."""
+    facts: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    @property
+    def num_actions(self) -> int | None:
+        """How many there are to choose from; ``None`` where actions are continuous."""
+        spec = self.env.action_spec_unbatched
+        return spec.space.n if isinstance(spec, Categorical) else None
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Steps before an episode is truncated."""
+        return self.env.base_env.max_episode_steps
+
+
+def make_problem(cfg: DictConfig) -> BenchmarkProblem:
+    """Environments and preferences of a configuration; nothing is written yet.
+
+    Raises:
+        FileExistsError: if the run folder holds policies.
+        ValueError: in one line, for an environment that cannot be made or does not fit the other fields.
+    """
+    torch.set_num_threads(cfg.compute.torch_threads)
+    torch.manual_seed(cfg.seed)
+    run_dir = Path(HydraConfig.get().runtime.output_dir)
+    if cfg.resume is None:
+        check_run_dir(run_dir)
+    device = torch.device(cfg.device)
+    base = _make_base(cfg, cfg.num_envs)
+    num_objectives = base.reward_spec.shape[-1]
+    names = cfg.objectives or [f"objective_{index}" for index in range(1, num_objectives + 1)]
+    if len(names) != num_objectives:
+        raise ValueError(
+            f"objectives must name the {num_objectives} entries of the reward of {cfg.env}, in its "
+            f"order, got {list(names)}."
+        )
+    preference_space = PreferenceSpace(tuple(names))
+    sampler = PreferenceSampler(
+        preference_space,
+        distribution=cfg.preference.distribution,
+        num_segments=cfg.preference.num_segments,
+        seed=cfg.seed,
+    )
+    env = TransformedEnv(base, Compose(sampler))
+    # Environments of neighbouring seeds would otherwise share all but one of their starts.
+    env.set_seed(int(np.random.SeedSequence(cfg.seed).generate_state(1)[0] >> 1))
+    return BenchmarkProblem(
+        run_dir=run_dir,
+        device=device,
+        preference_space=preference_space,
+        env=env,
+        eval_env=TransformedEnv(
+            _make_base(cfg, cfg.evaluation.episodes), PreferenceSampler(preference_space)
+        ),
+        reference=_reference(cfg, num_objectives),
+        facts={"env": cfg.env, "bfloat16": use_bfloat16(cfg.compute.bfloat16, device)},
+    )
+
+
+def _make_base(cfg: DictConfig, num_envs: int) -> VectorMOGymEnv:
+    try:
+        return make_mo_gym_env(
+            cfg.env,
+            num_envs=num_envs,
+            max_episode_steps=cfg.max_episode_steps,
+            **OmegaConf.to_container(cfg.env_kwargs),
+        )
+    except ValueError as error:
+        raise ValueError(f"env={error}") from error
+
+
+def _reference(cfg: DictConfig, num_objectives: int) -> tuple[float, ...]:
+    given = OmegaConf.to_container(cfg.evaluation)["reference"]
+    reference = given if isinstance(given, list) else [given] * num_objectives
+    if len(reference) != num_objectives:
+        raise ValueError(
+            f"evaluation.reference must have {num_objectives} entries, one per objective of {cfg.env}, "
+            f"or be a single number, got {reference}."
+        )
+    return tuple(map(float, reference))

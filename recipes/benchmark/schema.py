@@ -1,0 +1,249 @@
+"""What the configurations allow; ``common.yaml``, ``pd_morl.yaml`` and ``mo_ppo.yaml`` have the defaults."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from typing import Annotated, Any, Literal
+
+import gymnasium
+import mo_gymnasium  # noqa: F401, registers its environments
+from pydantic import AfterValidator, Field, model_validator
+
+from recipes.training import schema
+from recipes.training.fields import (
+    Allows,
+    Count,
+    CountOrNone,
+    Decay,
+    Device,
+    Discount,
+    Distribution,
+    Names,
+    NotNegative,
+    Positive,
+    RunFolder,
+    Section,
+    Seed,
+    Share,
+    Size,
+)
+
+
+def _registered(name: str) -> str:
+    module, colon, identifier = name.rpartition(":")
+    if colon:
+        try:
+            importlib.import_module(module)
+        except ImportError as error:
+            raise ValueError(f"{name}: {module} cannot be imported: {error}.") from error
+    try:
+        gymnasium.spec(identifier)
+    except gymnasium.error.Error as error:
+        near = difflib.get_close_matches(identifier, gymnasium.registry, 1)
+        hint = f"did you mean {near[0]}?" if near else "module:Name-v0 imports what registers it."
+        raise ValueError(f"{name} is not registered with Gymnasium: {hint}") from error
+    return name
+
+
+def _numbers(value: Any) -> Any:
+    entries = value if isinstance(value, list) else [value]
+    if not entries or any(
+        isinstance(one, bool) or not isinstance(one, int | float) for one in entries
+    ):
+        raise ValueError(f"must be a number, or a list of one for each objective, got {value!r}.")
+    return value
+
+
+Environment = Annotated[
+    str, AfterValidator(_registered), Allows("an id of Gymnasium, module:Name-v0 with an import")
+]
+Reference = Annotated[
+    Any, AfterValidator(_numbers), Allows("a number, or a list of one for each objective")
+]
+
+
+class Evaluation(Section):
+    """Evaluations while training, over a lattice of preferences."""
+
+    interval: Count = Field(description="Frames between evaluations.")
+    preferences: Size = Field(
+        description="Points of the lattice at most; it holds the corners at least."
+    )
+    episodes: Size = Field(description="Episodes of each preference.")
+    reference: Reference = Field(
+        description="Reference point of the hypervolume, in units of the returns."
+    )
+    discounted: bool = Field(
+        description="Whether indicators are of discounted returns, as in MORL-Baselines, or of sums."
+    )
+    seed: Seed = Field(description="Seed of the episodes of evaluations.")
+
+
+class PDMORLEvaluation(Evaluation):
+    """With the key solutions of the interpolator."""
+
+    refit_momentum: Decay = Field(
+        description="What the interpolator keeps of its key solutions at an evaluation."
+    )
+
+
+class Benchmark(Section):
+    """What both algorithms share."""
+
+    env: Environment = Field(description="The environment, whose reward is a vector.")
+    env_kwargs: Annotated[dict[str, Any], Allows("arguments of the environment")] = Field(
+        description="Arguments of the environment, such as {cost_objective: false}."
+    )
+    objectives: Names | None = Field(
+        description="Names of the entries of the reward, in its order; null numbers them."
+    )
+    num_envs: Size = Field(description="Environments that are stepped together.")
+    max_episode_steps: Count | None = Field(
+        description="Steps before an episode is truncated; null is the environment's own."
+    )
+    resume: RunFolder | None = Field(
+        description="Folder of a run that did not end; it goes on there, as it was configured."
+    )
+    seed: Seed = Field(description="Seed of networks, environments and preferences.")
+    device: Device = Field(description="Where networks are trained.")
+    network: schema.Network
+
+
+class PDMORLLoss(schema.AngleLoss):
+    """Of any environment."""
+
+    gamma: Discount = Field(description="Discount of a step.")
+
+
+class PDMORLConfig(Benchmark):
+    """PD-MORL."""
+
+    algorithm: Literal["pd_morl"] = Field(description="What trains; mo_ppo has other fields.")
+    compute: schema.CompiledCompute
+    preference: schema.Preference
+    collector: schema.NoisyCollector
+    replay_buffer: schema.ReplayBuffer
+    loss: PDMORLLoss
+    optim: schema.TD3Optim
+    evaluation: PDMORLEvaluation
+    logger: schema.Logger
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> PDMORLConfig:
+        _check_envs(self.collector.frames_per_batch, self.num_envs, self.preference.num_segments)
+        schema.check_experience(self.collector, self.replay_buffer)
+        return self
+
+
+class Compute(schema.Compute):
+    """With mixed precision."""
+
+    bfloat16: bool | None = Field(
+        description="Mixed precision of the updates; null is where the processor multiplies bfloat16."
+    )
+
+
+class Preference(Section):
+    """How preferences are drawn."""
+
+    num_segments: Size | None = Field(
+        description="Groups of environments, each with its part of the simplex; null is one."
+    )
+    distribution: Distribution = Field(
+        description="Distribution from which every episode draws its preference."
+    )
+
+
+class Collector(Section):
+    """How experience is collected."""
+
+    total_frames: Count = Field(description="Steps of the whole training.")
+    frames_per_batch: int = Field(
+        ge=1, le=100_000_000, description="Steps between updates, over all environments."
+    )
+    exploration_sigma: Positive = Field(
+        description="Standard deviation of the noise on continuous actions, which are in [-1, 1]."
+    )
+    final_exploration_sigma: Positive = Field(
+        description="The same at the end; between them it falls geometrically."
+    )
+
+
+class ReplayBuffer(Section):
+    """How experience is kept."""
+
+    reward_scale: Positive = Field(description="Factor on the rewards; keeps returns within tens.")
+
+
+class Loss(Section):
+    """PPO's."""
+
+    gamma: Discount = Field(description="Discount of a step.")
+    lmbda: Share = Field(description="Lambda of generalized advantage estimation.")
+    level_preferences: bool = Field(
+        description="Whether advantages are divided by their usual size at a preference."
+    )
+    truncation_is_terminal: bool = Field(description="Whether returns end where the time is up.")
+    clip_epsilon: float = Field(
+        gt=0, lt=1, description="How far the likelihood of an action may move, as a share."
+    )
+    entropy_coeff: NotNegative = Field(
+        description="Reward of the entropy where actions are discrete; elsewhere the noise is fixed."
+    )
+
+
+class Optim(Section):
+    """How networks are updated."""
+
+    critic_batches: CountOrNone = Field(
+        description="Batches of frames at the start for the critic alone."
+    )
+    critic_epochs: Count = Field(description="Passes over each of those.")
+    epochs: Count = Field(description="Passes over each batch of frames after them.")
+    batch_size: Annotated[int, Allows("a whole number from 1 to collector.frames_per_batch")] = (
+        Field(description="Transitions of an update.")
+    )
+    lr: Positive = Field(description="Learning rate of the actor; falls to a twentieth.")
+    critic_lr: Positive = Field(description="Learning rate of the critic.")
+    max_grad_norm: Positive = Field(description="Where the norm of a gradient is cut.")
+    actor_average: Decay = Field(
+        description="What the averaged actor, which is saved, keeps of itself at an update."
+    )
+
+
+class MOPPOConfig(Benchmark):
+    """MO-PPO."""
+
+    algorithm: Literal["mo_ppo"] = Field(description="What trains; pd_morl has other fields.")
+    compute: Compute
+    preference: Preference
+    collector: Collector
+    replay_buffer: ReplayBuffer
+    loss: Loss
+    optim: Optim
+    evaluation: Evaluation
+    logger: schema.Backends
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> MOPPOConfig:
+        frames = self.collector.frames_per_batch
+        _check_envs(frames, self.num_envs, self.preference.num_segments)
+        if not 1 <= self.optim.batch_size <= frames:
+            raise ValueError(
+                "optim.batch_size must lie between 1 and collector.frames_per_batch, "
+                f"{frames}, got {self.optim.batch_size}."
+            )
+        return self
+
+
+def _check_envs(frames_per_batch: int, num_envs: int, num_segments: int | None) -> None:
+    if frames_per_batch % num_envs:
+        raise ValueError(
+            f"collector.frames_per_batch must be a multiple of num_envs, {num_envs}, "
+            f"got {frames_per_batch}."
+        )
+    if num_segments is not None and num_segments > num_envs:
+        raise ValueError(
+            f"preference.num_segments must be at most num_envs, {num_envs}, got {num_segments}."
+        )
