@@ -1,0 +1,113 @@
+"""How a person answers: Bradley-Terry with rationality and slips, ties, and "neither"."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from torchrl_morl.arguments import is_number
+
+__all__ = ["ANSWERS", "Answer", "ChoiceModel"]
+
+Answer = Literal["first", "second", "tie", "neither"]
+
+ANSWERS: tuple[Answer, ...] = get_args(Answer)
+"""What can be said of two alternatives, in the order of probabilities."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ChoiceModel:
+    """Probabilities of the answers to "which of the two do you like better?".
+
+    A multinomial logit. With utilities ``u`` of the first and ``v`` of the second alternative, and
+    rationality ``b``, the odds of the answers are
+
+    ===========  =================================================================================
+    ``first``    ``exp(b u)``
+    ``second``   ``exp(b v)``, so that first against second is Bradley and Terry's (1952) model
+    ``tie``      ``tie * exp(b (u + v) / 2)``, as of Davidson (1970)
+    ``neither``  ``neither * exp(b 0)``: something else, of the average utility, which is 0 where
+                 outcomes are standardized
+    ===========  =================================================================================
+
+    A share ``slip`` of the answers is given by accident, all of them equally often.
+
+    Args:
+        rationalities: that a person may have, equally likely before the first answer; at 0 answers
+            are chance.
+        slip: share of accidents, in ``[0, 1)``.
+        tie: odds of "the same" against either of two equal alternatives; 0 if nobody may say so.
+        neither: odds of "neither" against either of two average alternatives; 0 if nobody may.
+
+    Raises:
+        ValueError: for a number out of its range.
+
+    Example:
+        >>> import torch
+        >>> model = ChoiceModel(slip=0.0, tie=1.0, neither=0.0)
+        >>> model.probabilities(torch.tensor(1.0), torch.tensor(1.0), torch.tensor(2.0))
+        tensor([0.3333, 0.3333, 0.3333, 0.0000])
+    """
+
+    rationalities: tuple[float, ...] = (0.0, 1.0, 2.0, 4.0, 8.0)
+    slip: float = 0.05
+    tie: float = 0.5
+    neither: float = 0.1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rationalities", tuple(self.rationalities))
+        if not self.rationalities:
+            raise ValueError("rationalities must hold at least one number, got none.")
+        for index, value in enumerate(self.rationalities):
+            if not (is_number(value) and value >= 0):
+                raise ValueError(
+                    f"rationalities[{index}] must be finite and at least 0, got {value!r}."
+                )
+        if not (is_number(self.slip) and 0 <= self.slip < 1):
+            raise ValueError(f"slip must be at least 0 and below 1, got {self.slip!r}.")
+        for name in ("tie", "neither"):
+            value = getattr(self, name)
+            if not (is_number(value) and value >= 0):
+                raise ValueError(f"{name} must be finite and at least 0, got {value!r}.")
+
+    @property
+    def offered(self) -> tuple[Answer, ...]:
+        """The answers that can be given."""
+        odds = (1.0, 1.0, self.tie, self.neither)
+        return tuple(answer for answer, one in zip(ANSWERS, odds, strict=True) if one > 0)
+
+    def probabilities(self, first: Tensor, second: Tensor, rationality: Tensor) -> Tensor:
+        """Probabilities of :data:`ANSWERS`.
+
+        Args:
+            first: utilities of first alternatives, ``[*B]``.
+            second: of the second ones, ``[*B]``.
+            rationality: ``[*B]``; all three are broadcast.
+
+        Returns:
+            ``[*B, 4]``; they sum to one, and are 0 for what is not offered.
+        """
+        return torch.stack(self.by_answer(first, second, rationality), -1)
+
+    def by_answer(self, first: Tensor, second: Tensor, rationality: Tensor) -> list[Tensor]:
+        """The same as four tensors ``[*B]``, which saves the memory of stacking them."""
+        first, second = torch.broadcast_tensors(rationality * first, rationality * second)
+        logits = [first, second]
+        if self.tie:
+            logits.append((first + second) / 2 + math.log(self.tie))
+        if self.neither:
+            logits.append(torch.full_like(first, math.log(self.neither)))
+        most = torch.maximum(first, second)
+        if self.neither:
+            most = most.clamp(min=math.log(self.neither))
+        odds = [(one - most).exp_() for one in logits]
+        total = sum(odds[1:], odds[0])
+        accident = self.slip / len(logits)
+        shares = [(1 - self.slip) * one / total + accident for one in odds]
+        nothing = torch.zeros_like(first)
+        tie = shares[2] if self.tie else nothing
+        return [shares[0], shares[1], tie, shares[-1] if self.neither else nothing]
