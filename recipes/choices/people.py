@@ -7,8 +7,8 @@ irregularity  also cares about irregular paths, as much as about anything else
 near          counts the seconds within 1.2 m of the human, not the smallest distance
 threshold     keeps a distance of their own, 0.6 to 1.6 m, and has a patience of 1.0 to 1.3 x the
               straight drive; beyond either nothing matters. Unlike is unlike from 1 m of Frechet distance
-noise         answers at a third of the others' rationality, and one in five answers is an accident
-mind          changes their mind at one of the first ten answers
+noise         answers at half of the others' rationality, with twice as many accidents
+mind          changes their mind, half of it, at one of twenty answers
 everything    all of these at once, the last for one in five
 ============  ========================================================================================
 
@@ -184,7 +184,7 @@ def people(kind: Kind, count: int, generator: torch.Generator) -> list[Person]:
     for _ in range(count):
         noisy = kind in ("noise", "everything")
         weights, other = simplex(), simplex()
-        change = int(torch.randint(1, 11, (), generator=generator))
+        change = int(torch.randint(1, 21, (), generator=generator))
         changes = kind == "mind" or (kind == "everything" and uniform(0, 1) < 0.2)
         found.append(
             Person(
@@ -194,8 +194,8 @@ def people(kind: Kind, count: int, generator: torch.Generator) -> list[Person]:
                 change=change if changes else None,
                 threshold=uniform(0.6, 1.6),
                 patience=uniform(1.0, 1.3),
-                rationality=3 * 2 ** uniform(-1, 1) / (3 if kind == "noise" else 1),
-                slip=0.2 if kind == "noise" else uniform(0.0, 0.2 if noisy else 0.1),
+                rationality=3 * 2 ** uniform(-1, 1) / (2 if noisy else 1),
+                slip=uniform(0.0, 0.2 if noisy else 0.1),
                 same=uniform(0.0, 0.3),
             )
         )

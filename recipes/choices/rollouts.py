@@ -211,3 +211,13 @@ def outcomes(result: Sweep) -> Tensor:
     """The same in units of the scene, see :func:`torchrl_morl.choices.standardize`."""
     return standardize(raw_outcomes(result), arrived(result))
 
+
+
+def joint_outcomes(drives: dict[str, Sweep]) -> dict[str, Tensor]:
+    """Outcomes by context, all in the same units: a second counts as much in a corridor as elsewhere."""
+    values = standardize(
+        torch.cat([raw_outcomes(one) for one in drives.values()]),
+        torch.cat([arrived(one) for one in drives.values()]),
+    )
+    sizes = [len(one.scenes) for one in drives.values()]
+    return dict(zip(drives, values.split(sizes), strict=True))

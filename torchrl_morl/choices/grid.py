@@ -33,7 +33,7 @@ def resemblance(weights: Tensor, spread: float) -> Tensor:
     return scale[:, None] * kernel * scale
 
 
-def context_log_posterior(log_likelihood: Tensor, kernels: Tensor) -> Tensor:
+def context_log_posterior(log_likelihood: Tensor, log_prior: Tensor, kernels: Tensor) -> Tensor:
     """Posterior of weights and rationality in every context; the sums are exact.
 
     A person has weights in general and a rationality; in a context, weights that resemble the general
@@ -42,6 +42,7 @@ def context_log_posterior(log_likelihood: Tensor, kernels: Tensor) -> Tensor:
 
     Args:
         log_likelihood: of the answers in each context, ``[C, G, R]``.
+        log_prior: of the rationality, ``[R]``; weights are uniform.
         kernels: of :func:`resemblance`, ``[M, G, G]``, equally likely.
 
     Returns:
@@ -52,15 +53,16 @@ def context_log_posterior(log_likelihood: Tensor, kernels: Tensor) -> Tensor:
 
         >>> import torch
         >>> kernels = torch.eye(2)[None]
-        >>> context_log_posterior(torch.tensor([[[0.0], [1.0]]]), kernels).exp().flatten()
+        >>> likelihood = torch.tensor([[[0.0], [1.0]]])
+        >>> context_log_posterior(likelihood, torch.zeros(1), kernels).exp().flatten()
         tensor([0.2689, 0.7311])
     """
     if len(log_likelihood) == 1:
-        return _normalized(log_likelihood)
+        return _normalized(log_likelihood + log_prior)
     to_general = _log_matmul(kernels[:, None], log_likelihood[None])  # [M, C, G, R]
     total = to_general.sum(1, keepdim=True)
     back = _log_matmul(kernels[:, None], total - to_general)
-    return _normalized(log_likelihood + back.logsumexp(0))
+    return _normalized(log_likelihood + log_prior + back.logsumexp(0))
 
 
 def _log_matmul(matrix: Tensor, log_values: Tensor) -> Tensor:

@@ -37,8 +37,9 @@ class ChoiceModel:
     A share ``slip`` of the answers is given by accident, all of them equally often.
 
     Args:
-        rationalities: that a person may have, equally likely before the first answer; at 0 answers
-            are chance.
+        rationalities: that a person may have, equally likely before the first answer.
+        chance: probability, before the first answer, that a person's answers are chance: that the
+            rationality is 0. In ``[0, 1)``.
         slip: share of accidents, in ``[0, 1)``.
         tie: odds of "the same" against either of two equal alternatives; 0 if nobody may say so.
         neither: odds of "neither" against either of two average alternatives; 0 if nobody may.
@@ -53,7 +54,8 @@ class ChoiceModel:
         tensor([0.3333, 0.3333, 0.3333, 0.0000])
     """
 
-    rationalities: tuple[float, ...] = (0.0, 1.0, 2.0, 4.0, 8.0)
+    rationalities: tuple[float, ...] = (1.0, 2.0, 4.0)
+    chance: float = 0.1
     slip: float = 0.05
     tie: float = 0.5
     neither: float = 0.1
@@ -63,16 +65,30 @@ class ChoiceModel:
         if not self.rationalities:
             raise ValueError("rationalities must hold at least one number, got none.")
         for index, value in enumerate(self.rationalities):
-            if not (is_number(value) and value >= 0):
+            if not (is_number(value) and value > 0):
                 raise ValueError(
-                    f"rationalities[{index}] must be finite and at least 0, got {value!r}."
+                    f"rationalities[{index}] must be finite and above 0, got {value!r}."
                 )
-        if not (is_number(self.slip) and 0 <= self.slip < 1):
-            raise ValueError(f"slip must be at least 0 and below 1, got {self.slip!r}.")
+        for name in ("slip", "chance"):
+            value = getattr(self, name)
+            if not (is_number(value) and 0 <= value < 1):
+                raise ValueError(f"{name} must be at least 0 and below 1, got {value!r}.")
         for name in ("tie", "neither"):
             value = getattr(self, name)
             if not (is_number(value) and value >= 0):
                 raise ValueError(f"{name} must be finite and at least 0, got {value!r}.")
+
+    @property
+    def prior(self) -> dict[float, float]:
+        """Probability of every rationality before the first answer, 0 among them.
+
+        Example:
+            >>> ChoiceModel(rationalities=(1.0, 2.0), chance=0.2).prior
+            {0.0: 0.2, 1.0: 0.4, 2.0: 0.4}
+        """
+        share = (1 - self.chance) / len(self.rationalities)
+        start = {0.0: self.chance} if self.chance else {}
+        return start | dict.fromkeys(map(float, self.rationalities), share)
 
     @property
     def offered(self) -> tuple[Answer, ...]:

@@ -10,20 +10,21 @@ __all__ = ["as_outcomes", "standardize"]
 
 
 def standardize(outcomes: Tensor | ArrayLike, valid: Tensor | ArrayLike | None = None) -> Tensor:
-    """Outcomes as distances from the average of their scene, in standard deviations.
+    """Outcomes as differences from the average of their scene, in standard deviations.
 
     What a person sees are differences between what could have happened in one scene. In these units
     objectives of metres and of seconds can be weighed against each other, and 0 is the average
-    utility under any weights.
+    utility under any weights. The unit is the same in all scenes: in a scene in which all drives are
+    nearly alike, there is little to like better.
 
     Args:
-        outcomes: ``[*B, P, T]``: of ``P`` alternatives in every scene, higher is better.
-        valid: which of them count, ``[*B, P]``: a drive that failed has no time. Default: all.
+        outcomes: ``[*S, P, T]``: of ``P`` alternatives in every scene, higher is better.
+        valid: which of them count, ``[*S, P]``: a drive that failed has no time. Default: all.
 
     Returns:
-        ``[*B, P, T]``. An objective in which all alternatives of a scene are alike is 0 there. What
-        is not valid is a unit worse than the worst that is, in everything; in a scene without
-        anything valid all is 0.
+        ``[*S, P, T]``. An objective in which all alternatives of every scene are alike is 0. What is
+        not valid is as bad as the worst of its scene that is, in everything, and 0 in a scene without
+        anything valid.
 
     Raises:
         ValueError: for other shapes, or for a valid outcome that is not finite.
@@ -48,13 +49,14 @@ def standardize(outcomes: Tensor | ArrayLike, valid: Tensor | ArrayLike | None =
     count = mask.sum(-2, keepdim=True).clamp(min=1)
     mean = known.sum(-2, keepdim=True) / count
     apart = torch.where(mask, values - mean, torch.zeros_like(values))
-    deviation = (apart.square().sum(-2, keepdim=True) / count).sqrt()
+    # Over all scenes, the root mean square of differences from their scene's average.
+    deviation = (apart.square().flatten(0, -2).sum(0) / mask.sum().clamp(min=1)).sqrt()
     # Rounding is no difference.
-    flat = deviation <= 1e-6 * (1 + mean.abs())
+    flat = deviation <= 1e-6 * (1 + mean.abs().flatten(0, -2).amax(0))
     units = torch.where(flat, torch.zeros_like(apart), apart / deviation.clamp(min=1e-12))
-    worst = units.amin(-2, keepdim=True) - 1
-    result = torch.where(mask, units, worst.expand_as(units))
-    return result * mask.any(-2, keepdim=True)
+    worst = torch.where(mask, units, torch.full_like(units, torch.inf)).amin(-2, keepdim=True)
+    worst = torch.where(worst.isfinite(), worst, torch.zeros_like(worst))
+    return torch.where(mask, units, worst)
 
 
 def as_outcomes(outcomes: Tensor | ArrayLike, num_objectives: int | None = None) -> Tensor:

@@ -24,20 +24,23 @@ class Particles:
 
     Args:
         num_objectives: entries of the weights, uniform on the simplex before the first answer.
-        rationalities: equally likely values.
+        rationalities: probabilities of its values.
         size: number of particles.
         seed: of the draws; the same answers give the same particles.
     """
 
     def __init__(
-        self, num_objectives: int, rationalities: tuple[float, ...], size: int, seed: int
+        self, num_objectives: int, rationalities: dict[float, float], size: int, seed: int
     ) -> None:
         self._generator = torch.Generator().manual_seed(seed)
-        self._values = torch.tensor(rationalities, dtype=torch.float64)
+        self._values = torch.tensor(list(rationalities), dtype=torch.float64)
+        self._prior = torch.tensor(list(rationalities.values()), dtype=torch.float64)
         shape = (size, num_objectives)
         # Exponential variables divided by their sum are uniform on the simplex.
         self._raw = torch.empty(shape, dtype=torch.float64).exponential_(generator=self._generator)
-        self._which = torch.randint(len(self._values), (size,), generator=self._generator)
+        self._which = torch.multinomial(
+            self._prior, size, replacement=True, generator=self._generator
+        )
         self.log_weight = torch.zeros(size, dtype=torch.float64) - torch.tensor(float(size)).log()
 
     @property
@@ -82,7 +85,8 @@ class Particles:
         def log_target(raw: Tensor, which: Tensor) -> Tensor:
             weights = raw / raw.sum(-1, keepdim=True)
             # Exponential density times the change of variables to its logarithm.
-            return (raw.log() - raw).sum(-1) + every(weights, self._values[which])
+            prior = (raw.log() - raw).sum(-1) + self._prior[which].log()
+            return prior + every(weights, self._values[which])
 
         generator, size = self._generator, len(self.log_weight)
         before = log_target(self._raw, self._which)

@@ -78,7 +78,7 @@ class PreferencePosterior:
         >>> for _ in range(3):
         ...     posterior.answer([1.0, -1.0], [-1.0, 1.0], "first")
         >>> posterior
-        PreferencePosterior(3 answers; distance 0.79 ± 0.16, efficiency 0.21 ± 0.16)
+        PreferencePosterior(3 answers; distance 0.81 ± 0.16, efficiency 0.19 ± 0.16)
         >>> posterior.undo().answer, posterior.num_answers
         ('first', 2)
     """
@@ -112,7 +112,9 @@ class PreferencePosterior:
         self._choices: list[Choice] = []
         if self.exact:
             lattice = PreferenceSpace(self.objectives).lattice(divisions).double()
-            values = torch.tensor(self.model.rationalities, dtype=torch.float64)
+            prior = self.model.prior
+            values = torch.tensor(list(prior), dtype=torch.float64)
+            self._log_prior = torch.tensor(list(prior.values()), dtype=torch.float64).log()
             self._shape = (len(lattice), len(values))
             self._weights = lattice.repeat_interleave(len(values), 0)
             self._rationality = values.repeat(len(lattice))
@@ -205,9 +207,8 @@ class PreferencePosterior:
         return (self.probability(context) @ apart).sqrt()
 
     def chance(self, context: str | None = None) -> float:
-        """Probability that the answers say nothing: that the rationality is the smallest one."""
-        smallest = self.rationality == min(self.model.rationalities)
-        return float(self.probability(context)[smallest].sum())
+        """Probability that the answers are chance: that the rationality is 0."""
+        return float(self.probability(context)[self.rationality == 0].sum())
 
     def predict(
         self,
@@ -359,7 +360,7 @@ class PreferencePosterior:
             return
         self._particles = Particles(
             len(self.objectives),
-            self.model.rationalities,
+            self.model.prior,
             self._settings["particles"],
             self._settings["seed"],
         )
@@ -386,7 +387,9 @@ class PreferencePosterior:
 
     def _normalize(self) -> None:
         shaped = self._log_context.view(len(self.contexts), *self._shape)
-        self._probability = context_log_posterior(shaped, self._kernels).exp().flatten(1)
+        self._probability = (
+            context_log_posterior(shaped, self._log_prior, self._kernels).exp().flatten(1)
+        )
 
 
 def _names(what: str, names: Sequence[str]) -> tuple[str, ...]:
