@@ -27,7 +27,7 @@ from ..evaluation.sweep import SHIPPED_POLICY, Sweep
 from ..outputs import claim_folder
 from .people import KINDS, Drives, people
 from .rollouts import arrived, joint_outcomes, obtain
-from .trials import AFTER, Place, asked, compared, in_contexts, stated
+from .trials import AFTER, Mind, Place, asked, compared, in_contexts, stated
 
 SHARING = ("one", "separate", "hierarchical")
 HOW_ALIKE = 0.5
@@ -77,15 +77,16 @@ def one_context(args, place: Place) -> dict:
             rows: dict[str, list[list[float]]] = {}
             for index, person in enumerate(people(kind, args.people, generator)):
                 own = 10_000 * args.people_seed + 1000 * number + index
-                trial = asked(person, place, own, informative=True)
-                random = asked(person, place, own, informative=False)
-                said, exact = (stated(person, place, own, error=e) for e in (0.5, 0.0))
+                mind = Mind(person, place)
+                trial = asked(person, mind, place, own, informative=True)
+                random = asked(person, mind, place, own, informative=False)
+                said, exact = (stated(person, mind, own, error=e) for e in (0.5, 0.0))
                 ways = {
                     "choices": trial.regret["best"],
                     "their mean weights": trial.regret["weights"],
                     "random questions": random.regret["best"],
-                    "Promptable Behaviors, pairs": compared(person, place, own, scenes=1),
-                    "Promptable Behaviors, groups of 5": compared(person, place, own, scenes=5),
+                    "Promptable Behaviors, pairs": compared(person, mind, place, own, scenes=1),
+                    "Promptable Behaviors, groups of 5": compared(person, mind, place, own, scenes=5),
                     "stated weights": [said] * len(AFTER),
                     "stated weights, exact": [exact] * len(AFTER),
                 }

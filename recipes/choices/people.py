@@ -123,8 +123,12 @@ class Person:
 
     def utility(self, drives: Drives, units: Tensor, answers: int = 0) -> Tensor:
         """Utility of every drive, ``[S, P]``, after so many answers; ``units`` of :func:`units_of`."""
-        changed = self.change is not None and answers >= self.change
-        return -(self.penalties(drives) / units) @ (self.later if changed else self.weights)
+        weights = self.later if self.changed(answers) else self.weights
+        return -(self.penalties(drives) / units) @ weights
+
+    def changed(self, answers: int) -> bool:
+        """Whether the mind is another one after so many answers."""
+        return self.change is not None and answers >= self.change
 
     def answer(
         self, utility: Tensor, first: int, second: int, generator: torch.Generator

@@ -57,19 +57,29 @@ class Trial:
     happened: list[bool]
 
 
-def regret(person: Person, place: Place, preference: Tensor, answers: int) -> float:
-    """What a preference misses in unseen scenes: 0 for the best for the person, 1 for the worst."""
-    index = int((place.preferences - preference).norm(dim=-1).argmin())
-    mean = person.utility(place.unseen, units_of(person.kind, place.known), answers).mean(0)
-    return float((mean.max() - mean[index]) / (mean.max() - mean.min()))
+class Mind:
+    """What a person feels about the drives of a place, before and after a change of mind."""
+
+    def __init__(self, person: Person, place: Place) -> None:
+        units = units_of(person.kind, place.known)
+        # Twice the same for those who keep their mind.
+        moments = (0, max(AFTER) + 1)
+        self._person, self._preferences = person, place.preferences
+        self._felt = [in_units(person.utility(place.known, units, one)) for one in moments]
+        self._unseen = [person.utility(place.unseen, units, one).mean(0) for one in moments]
+
+    def felt(self, answers: int) -> Tensor:
+        """Utilities of the drives that are asked about, ``[S, P]``, after so many answers."""
+        return self._felt[self._person.changed(answers)]
+
+    def regret(self, preference: Tensor, answers: int) -> float:
+        """What a preference misses in unseen scenes: 0 for the best for the person, 1 for the worst."""
+        index = int((self._preferences - preference).norm(dim=-1).argmin())
+        mean = self._unseen[self._person.changed(answers)]
+        return float((mean.max() - mean[index]) / (mean.max() - mean.min()))
 
 
-def felt(person: Person, place: Place, answers: int) -> Tensor:
-    """Utilities of the drives that are asked about, as the person feels them, ``[S, P]``."""
-    return in_units(person.utility(place.known, units_of(person.kind, place.known), answers))
-
-
-def asked(person: Person, place: Place, seed: int, *, informative: bool) -> Trial:
+def asked(person: Person, mind: Mind, place: Place, seed: int, *, informative: bool) -> Trial:
     """Ask twenty questions, the most informative ones or random ones.
 
     Keyword Args:
@@ -84,8 +94,8 @@ def asked(person: Person, place: Place, seed: int, *, informative: bool) -> Tria
             best = best_preference(posterior, place.outcomes, place.preferences)
             trial.claimed.append(best.regret)
             trial.claimed_high.append(best.regret_high)
-            ways["best"].append(regret(person, place, best.preference, answers))
-            ways["weights"].append(regret(person, place, posterior.mean(), answers))
+            ways["best"].append(mind.regret(best.preference, answers))
+            ways["weights"].append(mind.regret(posterior.mean(), answers))
         if answers == max(AFTER):
             return trial
         question = next_question(
@@ -96,7 +106,7 @@ def asked(person: Person, place: Place, seed: int, *, informative: bool) -> Tria
             generator=generator,
         )
         pair = place.outcomes[question.scene, [question.first, question.second]]
-        utility = felt(person, place, answers)[question.scene]
+        utility = mind.felt(answers)[question.scene]
         answer = person.answer(utility, question.first, question.second, generator)
         if answer in ("first", "second"):
             first, second = posterior.predict(*pair)[:2].tolist()
@@ -106,7 +116,7 @@ def asked(person: Person, place: Place, seed: int, *, informative: bool) -> Tria
     raise AssertionError
 
 
-def compared(person: Person, place: Place, seed: int, *, scenes: int) -> list[float]:
+def compared(person: Person, mind: Mind, place: Place, seed: int, *, scenes: int) -> list[float]:
     """Comparison of trajectories as in Promptable Behaviors, rebuilt from its description.
 
     Random pairs; the weights of greatest likelihood under Bradley-Terry, given to the policy as they
@@ -129,12 +139,12 @@ def compared(person: Person, place: Place, seed: int, *, scenes: int) -> list[fl
         if answers in AFTER:
             # Many are equally likely at first: their middle.
             most = (likelihood >= likelihood.max() - 1e-4).any(0)
-            found.append(regret(person, place, lattice[most].mean(0), answers))
+            found.append(mind.regret(lattice[most].mean(0), answers))
         if answers == max(AFTER):
             break
         rows = torch.randint(count, (scenes,), generator=generator)
         first, second = torch.randperm(pairs, generator=generator)[:2].tolist()
-        utility = felt(person, place, answers)[rows].mean(0)
+        utility = mind.felt(answers)[rows].mean(0)
         answer = person.answer(utility, first, second, generator)
         if answer not in ("first", "second"):
             continue
@@ -144,14 +154,14 @@ def compared(person: Person, place: Place, seed: int, *, scenes: int) -> list[fl
     return found
 
 
-def stated(person: Person, place: Place, seed: int, *, error: float) -> float:
+def stated(person: Person, mind: Mind, seed: int, *, error: float) -> float:
     """Regret of the weights that a person says, given to the policy.
 
     Keyword Args:
         error: see :meth:`~recipes.choices.people.Person.stated`.
     """
     weights = person.stated(torch.Generator().manual_seed(seed), error=error)
-    return regret(person, place, weights.float(), 0)
+    return mind.regret(weights.float(), 0)
 
 
 def in_contexts(
@@ -166,6 +176,7 @@ def in_contexts(
         Mean over contexts after each of :data:`AFTER`, answers of all contexts together.
     """
     generator = torch.Generator().manual_seed(seed)
+    minds = {name: Mind(people[name], place) for name, place in places.items()}
     names, objectives = tuple(places), ("demo", "distance", "efficiency")
     if sharing == "hierarchical":
         shared = PreferencePosterior(objectives, contexts=names)
@@ -184,7 +195,7 @@ def in_contexts(
                 best = best_preference(
                     posterior, place.outcomes, place.preferences, context=context
                 )
-                each.append(regret(people[name], place, best.preference, answers))
+                each.append(minds[name].regret(best.preference, answers))
             found.append(sum(each) / len(each))
         if answers == max(AFTER):
             break
@@ -198,7 +209,7 @@ def in_contexts(
             candidates=CANDIDATES,
             generator=generator,
         )
-        utility = felt(people[name], place, answers)[question.scene]
+        utility = minds[name].felt(answers)[question.scene]
         answer = people[name].answer(utility, question.first, question.second, generator)
         outcomes = place.outcomes[question.scene]
         posterior.answer(outcomes[question.first], outcomes[question.second], answer, context)

@@ -18,6 +18,9 @@ __all__ = ["Question", "information", "next_question"]
 _NEGLIGIBLE = 1e-5
 """Share of the probability that hypotheses left out of a mutual information have together."""
 
+_DRAWS = 4096
+"""Pairs that are drawn at least."""
+
 _CHUNK = 500_000
 """Probabilities that are computed at once."""
 
@@ -119,7 +122,8 @@ def next_question(
     if values.ndim != 3:
         raise ValueError(f"outcomes must have shape [S, P, T], got {list(values.shape)}.")
     scenes, count = values.shape[:2]
-    shape = (4 * candidates,)
+    # More than are needed, since some pairs are of one alternative or may not be shown.
+    shape = (max(4 * candidates, _DRAWS),)
     scene = torch.randint(scenes, shape, generator=generator)
     first = torch.randint(count, shape, generator=generator)
     second = torch.randint(count, shape, generator=generator)
