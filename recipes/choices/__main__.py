@@ -182,7 +182,7 @@ def converse(dialogue: Dialogue, answers: Iterator[str], *, questions: int, show
             elif key == "u":
                 given -= dialogue.undo()
             elif key == "s":
-                dialogue.skip()
+                dialogue.skip(context, question)
             elif key == "q":
                 return
             else:

@@ -50,6 +50,7 @@ class Dialogue:
 
     def __post_init__(self) -> None:
         self.outcomes: dict[str, Tensor] = joint_outcomes(self.drives)
+        self._valid = {name: arrived(one) for name, one in self.drives.items()}
         self._skipped = 0
 
     def ask(self) -> tuple[str, Question]:
@@ -63,7 +64,7 @@ class Dialogue:
                 self.posterior,
                 self.outcomes[context],
                 context=context,
-                valid=arrived(self.drives[context]),
+                valid=self._valid[context],
                 generator=torch.Generator().manual_seed(number),
             )
             if best is None or question.information > best[1].information:
@@ -71,8 +72,9 @@ class Dialogue:
         assert best is not None
         return best
 
-    def skip(self) -> None:
-        """Ask something else instead."""
+    def skip(self, context: str, question: Question) -> None:
+        """Show the first drive of a question no more, and ask something else."""
+        self._valid[context][question.scene, question.first] = False
         self._skipped += 1
 
     def draw(self, context: str, question: Question) -> Path:

@@ -12,6 +12,7 @@ import envs.objectives
 import recipes.objectives
 from envs import NavigationEnv
 from examples import (
+    choices,
     doorway,
     my_robot,
     numpy_controller,
@@ -69,6 +70,12 @@ def test_unit_tests_of_a_loss_pass():
 def test_preferences_in_a_foreign_environment(capsys):
     preferences.main()
     assert "kept through the episode: [0.2, 0.8]" in capsys.readouterr().out
+
+
+def test_choices_of_a_foreign_policy(capsys):
+    much, little = choices.main(0.95), choices.main(0.1)
+    assert much[0] > little[0]
+    assert capsys.readouterr().out.count("after answer") == 10
 
 
 def test_the_shipped_drives_are_what_their_script_records(tmp_path):
