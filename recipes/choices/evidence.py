@@ -51,9 +51,7 @@ def places(args, scenes: tuple[str, ...]) -> dict[str, Place]:
 
     def noticed(result: Sweep, scene: str) -> Drives:
         setting = settings[scene]
-        return Drives.of(
-            result, max_speed=setting.robot.max_speed, goal_radius=setting.goal_radius
-        )
+        return Drives.of(result, max_speed=setting.robot.max_speed, goal_radius=setting.goal_radius)
 
     return {
         scene: Place(
@@ -86,7 +84,9 @@ def one_context(args, place: Place) -> dict:
                     "their mean weights": trial.regret["weights"],
                     "random questions": random.regret["best"],
                     "Promptable Behaviors, pairs": compared(person, mind, place, own, scenes=1),
-                    "Promptable Behaviors, groups of 5": compared(person, mind, place, own, scenes=5),
+                    "Promptable Behaviors, groups of 5": compared(
+                        person, mind, place, own, scenes=5
+                    ),
                     "stated weights": [said] * len(AFTER),
                     "stated weights, exact": [exact] * len(AFTER),
                 }
@@ -100,8 +100,7 @@ def one_context(args, place: Place) -> dict:
                 progress.update()
             regrets[kind] = rows
     counted = {
-        way: [row for kind in KINDS[:-1] for row in regrets[kind][way]]
-        for way in regrets[KINDS[0]]
+        way: [row for kind in KINDS[:-1] for row in regrets[kind][way]] for way in regrets[KINDS[0]]
     }
     groups = {way: summary(rows) for way, rows in counted.items()}
     kinds = {kind: summary(rows["choices"]) for kind, rows in regrets.items()}
@@ -204,7 +203,9 @@ def main() -> None:
     parser.add_argument("--people-seed", type=seed, default=0, help="of the people")
     parser.add_argument("--known", type=count(2, 1000), default=60, help="scenes of the questions")
     parser.add_argument("--unseen", type=count(2, 1000), default=100, help="scenes of the regret")
-    parser.add_argument("--seed", type=scene_seed, default=31, help="of the scenes of the questions")
+    parser.add_argument(
+        "--seed", type=scene_seed, default=31, help="of the scenes of the questions"
+    )
     parser.add_argument("--unseen-seed", type=scene_seed, default=32, help="of the others")
     parser.add_argument("--contexts", action="store_true", help="two contexts instead of one")
     parser.add_argument("--drives", type=Path, default=Path("runs/choices/drives"), help="folder")

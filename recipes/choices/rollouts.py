@@ -212,7 +212,6 @@ def outcomes(result: Sweep) -> Tensor:
     return standardize(raw_outcomes(result), arrived(result))
 
 
-
 def joint_outcomes(drives: dict[str, Sweep]) -> dict[str, Tensor]:
     """Outcomes by context, all in the same units: a second counts as much in a corridor as elsewhere."""
     values = standardize(

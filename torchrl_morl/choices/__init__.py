@@ -4,9 +4,9 @@ Outcomes in, a preference out: pure functions of what alternatives did, for any 
 environment. Start at :class:`PreferencePosterior`.
 """
 
-from .model import ANSWERS, Answer, ChoiceModel
+from .model import ANSWERS, Answer, Choice, ChoiceModel
 from .outcomes import standardize
-from .posterior import Choice, PreferencePosterior
+from .posterior import PreferencePosterior
 from .question import Question, information, next_question
 from .recommendation import Recommendation, best_preference
 

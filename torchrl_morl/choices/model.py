@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchrl_morl.arguments import is_number
 
-__all__ = ["ANSWERS", "Answer", "ChoiceModel"]
+__all__ = ["ANSWERS", "Answer", "Choice", "ChoiceModel"]
 
 Answer = Literal["first", "second", "tie", "neither"]
 
@@ -127,3 +127,20 @@ class ChoiceModel:
         nothing = torch.zeros_like(first)
         tie = shares[2] if self.tie else nothing
         return [shares[0], shares[1], tie, shares[-1] if self.neither else nothing]
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """An answer to one question.
+
+    Args:
+        first: outcomes of the first alternative, one an objective.
+        second: of the second.
+        answer: what was said.
+        context: where.
+    """
+
+    first: tuple[float, ...]
+    second: tuple[float, ...]
+    answer: Answer
+    context: str

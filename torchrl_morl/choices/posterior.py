@@ -17,10 +17,10 @@ from torchrl_morl.arguments import check_count
 from torchrl_morl.preferences import PreferenceSpace
 
 from .grid import context_log_posterior, resemblance
-from .model import ANSWERS, Answer, ChoiceModel
+from .model import ANSWERS, Answer, Choice, ChoiceModel
 from .particles import Particles
 
-__all__ = ["Choice", "PreferencePosterior"]
+__all__ = ["PreferencePosterior"]
 
 FORMAT = 1
 LARGEST_GRID = 4
@@ -28,23 +28,6 @@ LARGEST_GRID = 4
 
 _DIVISIONS = {1: 1, 2: 50, 3: 25, 4: 12}
 _SPREADS = (0.0, 0.2, 0.6)
-
-
-@dataclasses.dataclass(frozen=True)
-class Choice:
-    """An answer to one question.
-
-    Args:
-        first: outcomes of the first alternative, one an objective.
-        second: of the second.
-        answer: what was said.
-        context: where.
-    """
-
-    first: tuple[float, ...]
-    second: tuple[float, ...]
-    answer: Answer
-    context: str
 
 
 class PreferencePosterior:

@@ -113,7 +113,9 @@ def next_question(
     Example:
         >>> posterior = PreferencePosterior(("distance", "efficiency"))
         >>> outcomes = [[[1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]]]
-        >>> question = next_question(posterior, outcomes, generator=torch.Generator().manual_seed(0))
+        >>> question = next_question(
+        ...     posterior, outcomes, generator=torch.Generator().manual_seed(0)
+        ... )
         >>> question.scene, {question.first, question.second} in ({0, 2}, {1, 2})
         (0, True)
     """

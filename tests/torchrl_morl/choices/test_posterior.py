@@ -46,7 +46,9 @@ class TestModel:
 
     def test_two_bad_alternatives_are_refused(self):
         bad, good = torch.tensor(-2.0), torch.tensor(2.0)
-        share = [float(ChoiceModel().probabilities(x, x, torch.tensor(2.0))[3]) for x in (bad, good)]
+        share = [
+            float(ChoiceModel().probabilities(x, x, torch.tensor(2.0))[3]) for x in (bad, good)
+        ]
         assert share[0] > 0.5 > 0.05 > share[1]
 
     def test_large_utilities_overflow_nothing(self):
@@ -78,10 +80,16 @@ class TestExact:
         likelihood = [1 / (1 + math.exp(2)), 0.5, 1 / (1 + math.exp(-2))]
         expected = torch.tensor(likelihood, dtype=torch.float64) / sum(likelihood)
         torch.testing.assert_close(posterior.probability(), expected)
-        assert float(posterior.mean()[0]) == pytest.approx(float(expected @ posterior.weights[:, 0]))
+        assert float(posterior.mean()[0]) == pytest.approx(
+            float(expected @ posterior.weights[:, 0])
+        )
 
     def test_order_does_not_matter_and_undo_is_exact(self):
-        questions = [([1, 0], [0, 1], "first"), ([2, 0], [0, 1], "tie"), ([0, 1], [0, 0], "neither")]
+        questions = [
+            ([1, 0], [0, 1], "first"),
+            ([2, 0], [0, 1], "tie"),
+            ([0, 1], [0, 0], "neither"),
+        ]
         one, other = (PreferencePosterior(TWO) for _ in range(2))
         for question in questions:
             one.answer(*question)
@@ -264,7 +272,8 @@ class TestQuestions:
         valid[1, [2, 4]] = True
         posterior = PreferencePosterior(TWO)
         asked = [
-            next_question(posterior, outcomes, valid=valid, generator=generator(1)) for _ in range(2)
+            next_question(posterior, outcomes, valid=valid, generator=generator(1))
+            for _ in range(2)
         ]
         assert asked[0] == asked[1] and asked[0].scene == 1
         assert {asked[0].first, asked[0].second} == {2, 4}
