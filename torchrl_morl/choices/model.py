@@ -41,6 +41,9 @@ class ChoiceModel:
         chance: probability, before the first answer, that a person's answers are chance: that the
             rationality is 0. In ``[0, 1)``.
         slip: share of accidents, in ``[0, 1)``.
+        half_life: number of answers after which an older one counts half: people change their minds,
+            and their utility is not quite the model's, so that many answers must not make it certain.
+            ``None`` for answers that count forever.
         tie: odds of "the same" against either of two equal alternatives; 0 if nobody may say so.
         neither: odds of "neither" against either of two average alternatives; 0 if nobody may.
 
@@ -57,6 +60,7 @@ class ChoiceModel:
     rationalities: tuple[float, ...] = (1.0, 2.0, 4.0)
     chance: float = 0.1
     slip: float = 0.05
+    half_life: float | None = 10.0
     tie: float = 0.5
     neither: float = 0.1
 
@@ -73,6 +77,10 @@ class ChoiceModel:
             value = getattr(self, name)
             if not (is_number(value) and 0 <= value < 1):
                 raise ValueError(f"{name} must be at least 0 and below 1, got {value!r}.")
+        if self.half_life is not None and not (is_number(self.half_life) and self.half_life > 0):
+            raise ValueError(
+                f"half_life must be finite and above 0, or None, got {self.half_life!r}."
+            )
         for name in ("tie", "neither"):
             value = getattr(self, name)
             if not (is_number(value) and value >= 0):
@@ -89,6 +97,11 @@ class ChoiceModel:
         share = (1 - self.chance) / len(self.rationalities)
         start = {0.0: self.chance} if self.chance else {}
         return start | dict.fromkeys(map(float, self.rationalities), share)
+
+    @property
+    def memory(self) -> float:
+        """What is left of the weight of an answer when another one is given."""
+        return 1.0 if self.half_life is None else 0.5 ** (1 / self.half_life)
 
     @property
     def offered(self) -> tuple[Answer, ...]:

@@ -62,8 +62,8 @@ class Particles:
         """Take an answer in.
 
         Args:
-            newest: of this answer alone.
-            every: of all answers, this one included.
+            newest: what this answer adds to the log likelihood.
+            every: the log likelihood of all answers, this one included.
         """
         self.log_weight = self.log_weight + newest(self.weights, self.rationality)
         self.log_weight = self.log_weight - self.log_weight.logsumexp(0)

@@ -61,7 +61,7 @@ class PreferencePosterior:
         >>> for _ in range(3):
         ...     posterior.answer([1.0, -1.0], [-1.0, 1.0], "first")
         >>> posterior
-        PreferencePosterior(3 answers; distance 0.81 ± 0.16, efficiency 0.19 ± 0.16)
+        PreferencePosterior(3 answers; distance 0.80 ± 0.16, efficiency 0.20 ± 0.16)
         >>> posterior.undo().answer, posterior.num_answers
         ('first', 2)
     """
@@ -321,9 +321,10 @@ class PreferencePosterior:
         return tuple(values.tolist())
 
     def _log_likelihood(self, choices: Sequence[Choice], weights: Tensor, rationality: Tensor):
-        """Of some answers under every hypothesis, ``[H]``."""
+        """Of some answers, oldest first, under every hypothesis, ``[H]``."""
         total = torch.zeros_like(rationality)
         for choice in choices:
+            total *= self.model.memory
             first, second = (
                 weights @ torch.tensor(x, dtype=torch.float64)
                 for x in (choice.first, choice.second)
@@ -358,14 +359,21 @@ class PreferencePosterior:
             self._add(choice)
             self._normalize()
             return
-        self._particles.update(
-            lambda weights, rationality: self._log_likelihood([choice], weights, rationality),
-            lambda weights, rationality: self._log_likelihood(self._choices, weights, rationality),
-        )
+        older, newer = self._choices[:-1], self._choices
+
+        def every(weights: Tensor, rationality: Tensor) -> Tensor:
+            return self._log_likelihood(newer, weights, rationality)
+
+        def change(weights: Tensor, rationality: Tensor) -> Tensor:
+            before = self._log_likelihood(older, weights, rationality)
+            return every(weights, rationality) - before
+
+        self._particles.update(change, every)
         self._probability = self._particles.log_weight.exp()[None]
 
     def _add(self, choice: Choice) -> None:
         row = self.contexts.index(choice.context)
+        self._log_context *= self.model.memory
         self._log_context[row] += self._log_likelihood([choice], self._weights, self._rationality)
 
     def _normalize(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -62,6 +63,7 @@ class TestModel:
         [
             ({"slip": 1.0}, "slip must be at least 0 and below 1, got 1.0"),
             ({"chance": -0.1}, "chance must be at least 0"),
+            ({"half_life": 0}, "half_life must be finite and above 0, or None, got 0"),
             ({"tie": -1.0}, "tie must be finite"),
             ({"rationalities": ()}, "at least one number"),
             ({"rationalities": (1.0, 0.0)}, r"rationalities\[1\] must be finite and above 0"),
@@ -90,13 +92,14 @@ class TestExact:
             ([2, 0], [0, 1], "tie"),
             ([0, 1], [0, 0], "neither"),
         ]
-        one, other = (PreferencePosterior(TWO) for _ in range(2))
+        forever = ChoiceModel(half_life=None)
+        one, other = (PreferencePosterior(TWO, model=forever) for _ in range(2))
         for question in questions:
             one.answer(*question)
         for question in reversed(questions):
             other.answer(*question)
         torch.testing.assert_close(one.probability(), other.probability())
-        before = PreferencePosterior(TWO)
+        before = PreferencePosterior(TWO, model=forever)
         before.answer(*questions[0])
         one.undo(), one.undo()
         assert torch.equal(one.probability(), before.probability())
@@ -105,12 +108,29 @@ class TestExact:
             one.undo()
 
     def test_contradictions_leave_the_middle_and_doubt(self):
-        clear, torn = PreferencePosterior(TWO), PreferencePosterior(TWO)
+        forever = ChoiceModel(half_life=None)
+        clear, torn = (PreferencePosterior(TWO, model=forever) for _ in range(2))
         for turn in range(10):
             clear.answer([1, -1], [-1, 1], "first")
             torn.answer([1, -1], [-1, 1], "first" if turn % 2 else "second")
         assert torn.mean().tolist() == pytest.approx([0.5, 0.5], abs=1e-6)
         assert clear.mean()[0] > 0.8 and clear.chance() < 0.01 < torn.chance()
+
+    def test_older_answers_count_less(self):
+        model = ChoiceModel(rationalities=(2.0,), chance=0.0, slip=0.0, tie=0.0, neither=0.0)
+        model = dataclasses.replace(model, half_life=1.0)
+        posterior = PreferencePosterior(TWO, model=model, divisions=1)
+        posterior.answer([1.0, 0.0], [0.0, 1.0], "first")
+        posterior.answer([1.0, 0.0], [0.0, 1.0], "second")
+        # Log odds of weights (1, 0) against (0, 1): 2 for each answer, halved for the older one.
+        odds = math.log(float(posterior.probability()[1] / posterior.probability()[0]))
+        assert odds == pytest.approx(0.5 * 2 - 2)
+
+    def test_a_change_of_mind_is_followed(self):
+        posterior = PreferencePosterior(TWO)
+        for answer in ["first"] * 8 + ["second"] * 10:
+            posterior.answer([1, -1], [-1, 1], answer)
+        assert posterior.mean()[0] < 0.5
 
     def test_always_the_first_is_found_to_be_chance(self):
         outcomes = torch.randn(20, 30, 3, generator=generator())
