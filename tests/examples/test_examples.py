@@ -15,6 +15,7 @@ import envs.objectives
 import recipes.objectives
 from envs import NavigationEnv
 from examples import (
+    choices,
     doorway,
     my_environment,
     my_robot,
@@ -103,6 +104,12 @@ def test_drives_are_recorded_in_a_new_file(file, message, capsys, monkeypatch, t
         run_path(record_drives.__file__, run_name="__main__")
     (line,) = capsys.readouterr().err.splitlines()
     assert stop.value.code == 2 and message in line and file in line
+
+
+def test_choices_of_a_foreign_policy(capsys):
+    much, little = choices.main(0.95), choices.main(0.1)
+    assert much[0] > little[0]
+    assert capsys.readouterr().out.count("after answer") == 10
 
 
 def test_the_shipped_drives_are_what_their_script_records(tmp_path):

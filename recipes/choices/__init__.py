@@ -1,0 +1,1 @@
+"""A preference from choices: which of two drives of one policy a person likes better."""

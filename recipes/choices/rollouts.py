@@ -1,0 +1,222 @@
+"""What a policy does under many preferences in some scenes: driven once, then kept in a file."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import torch
+import tqdm
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from tensordict import TensorDict
+from torch import Tensor
+
+from envs import NavigationEnv
+from torchrl_morl.choices import standardize
+from torchrl_morl.deploy import load_policy
+from torchrl_morl.deploy.files import file_checksum
+from torchrl_morl.preferences import PreferenceSpace
+
+from ..evaluation.setting import Setting, choose, demonstrator
+from ..evaluation.sweep import Sweep, sweep
+from ..objectives import DEMO, PERSONAL_SPACE, known
+
+FORMAT = "1"
+MAX_STEPS = 300
+UNLIKE = 1.5
+"""Frechet distance from which on a drive is unlike the demonstration, by however much, metres."""
+_PARTS = ("metrics", "paths", "scenes", "demonstration")
+
+
+@dataclasses.dataclass(frozen=True)
+class Request:
+    """Which drives: what a file must agree with to be used again.
+
+    Args:
+        policy: SHA-256 of its weights.
+        setting: scene, robot, drive and goal radius in words.
+        scenes: how many.
+        seed: of the scenes.
+        divisions: of the lattice of preferences.
+    """
+
+    policy: str
+    setting: str
+    scenes: int
+    seed: int
+    divisions: int = 10
+
+    def file(self, folder: Path) -> Path:
+        """Where these drives are kept."""
+        kind = self.setting.split(",")[0].removeprefix("scene ").replace("/", "_")
+        name = f"{self.policy[:8]}_{kind}_{self.scenes}_seed{self.seed}_{self.divisions}"
+        return folder / f"{name}.safetensors"
+
+
+def obtain(
+    policy_folder: Path,
+    scene: str | None,
+    *,
+    scenes: int,
+    seed: int,
+    folder: Path,
+    divisions: int = 10,
+) -> tuple[Sweep, Setting]:
+    """The drives of a policy from their file, or from driving them now, with a progress bar.
+
+    Args:
+        policy_folder: of the policy.
+        scene: a name or a file; ``None`` for that of the training.
+
+    Keyword Args:
+        scenes: how many.
+        seed: of the scenes.
+        folder: where drives are kept.
+        divisions: of the lattice of preferences.
+
+    Raises:
+        ValueError: for a policy, a scene or a file that is refused.
+    """
+    policy = load_policy(policy_folder)
+    setting = choose(policy.card, scene=scene)
+    request = Request(
+        policy=file_checksum(policy_folder / "policy.safetensors"),
+        setting=str(setting),
+        scenes=scenes,
+        seed=seed,
+        divisions=divisions,
+    )
+    path = request.file(folder)
+    if path.exists():
+        return load(path, request), setting
+    preferences = policy.preference_space.lattice(divisions)
+    with tqdm.tqdm(total=len(preferences), desc=f"drives, once ({path.name})") as progress:
+        result = sweep(
+            policy.actor,
+            policy.preference_space,
+            preferences,
+            episodes=scenes,
+            seed=seed,
+            max_episode_steps=MAX_STEPS,
+            demonstrator=demonstrator(policy.card, setting.robot),
+            on_preference=lambda _: progress.update(),
+            **setting.arguments,
+        )
+    save(path, result, request)
+    return result, setting
+
+
+def save(path: Path, result: Sweep, request: Request) -> None:
+    """Write drives to a new file; an interruption leaves none.
+
+    Raises:
+        FileExistsError: if there is one.
+    """
+    if path.exists():
+        raise FileExistsError(f"{path} exists and is not overwritten.")
+    space = result.preference_space
+    tensors = {"preferences": result.preferences.contiguous()}
+    for part in _PARTS:
+        data = getattr(result, part)
+        if data is not None:
+            tensors |= {f"{part}/{key}": data[key].contiguous().clone() for key in data.keys()}
+    described = {
+        "objectives": space.objectives,
+        "static": dict(space.static),
+        "shapes": {p: getattr(result, p).shape for p in _PARTS if getattr(result, p) is not None},
+        "request": dataclasses.asdict(request),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f"{path.name}.partial")
+    save_file(tensors, partial, {"format": FORMAT, "rollouts": json.dumps(described)})
+    partial.rename(path)
+
+
+def load(path: Path, request: Request | None = None) -> Sweep:
+    """Read drives.
+
+    Args:
+        path: the file.
+        request: what they must be; ``None`` takes any.
+
+    Raises:
+        ValueError: for a file of another kind, or of other drives; the message says which.
+    """
+    try:
+        with safe_open(path, "pt") as file:
+            header = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}
+        described = json.loads(header["rollouts"])
+        if header.get("format") != FORMAT:
+            raise KeyError("format")
+        parts = {
+            part: TensorDict(
+                {
+                    name.split("/", 1)[1]: value
+                    for name, value in tensors.items()
+                    if name.startswith(f"{part}/")
+                },
+                batch_size=shape,
+            )
+            for part, shape in described["shapes"].items()
+        }
+        space = PreferenceSpace(tuple(described["objectives"]), static=described["static"])
+        result = Sweep(preference_space=space, preferences=tensors["preferences"], **parts)
+        made = described["request"]
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} holds no rollouts of recipes.choices: {error!r}.") from error
+    if request is not None and made != dataclasses.asdict(request):
+        asked = dataclasses.asdict(request)
+        wrong = next(name for name in asked if made.get(name) != asked[name])
+        raise ValueError(
+            f"{path} holds other drives: its {wrong} is {made.get(wrong)!r}, not {asked[wrong]!r}. "
+            "Move it away."
+        )
+    return result
+
+
+def arrived(result: Sweep) -> Tensor:
+    """Which drives reached their goal, ``[S, P]``."""
+    return result.metrics["success"].T
+
+
+def raw_outcomes(result: Sweep) -> Tensor:
+    """How well each drive serves each tunable objective, in the unit of its metric, ``[S, P, T]``.
+
+    Higher is better. Distances to the human beyond :data:`~recipes.objectives.PERSONAL_SPACE` count
+    as that distance, those to the demonstration beyond :data:`UNLIKE` as that one; a drive that does
+    not arrive takes as long as it may.
+    """
+    columns: list[Tensor] = []
+    for objective in known(result.preference_space.tunable):
+        if objective.metric not in result.metrics.keys():
+            raise ValueError(
+                f"objective {objective.name!r} needs the metric {objective.metric!r}, which these "
+                "drives do not have: the policy's card names no demonstrator."
+            )
+        values = result.metrics[objective.metric].float()
+        if objective.metric == "time":
+            values = values.nan_to_num(nan=MAX_STEPS * NavigationEnv.CONTROL_PERIOD)
+        if objective.name == "distance":
+            values = values.clamp(max=PERSONAL_SPACE)
+        if objective.name == DEMO:
+            values = values.clamp(max=UNLIKE)
+        columns.append(objective.sign * values.T)
+    return torch.stack(columns, -1)
+
+
+def outcomes(result: Sweep) -> Tensor:
+    """The same in units of the scene, see :func:`torchrl_morl.choices.standardize`."""
+    return standardize(raw_outcomes(result), arrived(result))
+
+
+def joint_outcomes(drives: dict[str, Sweep]) -> dict[str, Tensor]:
+    """Outcomes by context, all in the same units: a second counts as much in a corridor as elsewhere."""
+    values = standardize(
+        torch.cat([raw_outcomes(one) for one in drives.values()]),
+        torch.cat([arrived(one) for one in drives.values()]),
+    )
+    sizes = [len(one.scenes) for one in drives.values()]
+    return dict(zip(drives, values.split(sizes), strict=True))
