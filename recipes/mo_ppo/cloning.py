@@ -47,6 +47,7 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
             preference = space.sample(
                 _BATCH, distribution=cfg.preference.distribution, generator=generator
             ).to(task.device)
+            preference[: _BATCH // 2] = space.corners()[demo]
             wanted = batch["action"]
             action = actor(batch.select("observation").set("preference", preference))["action"]
             error = (action - wanted).square().sum(-1)

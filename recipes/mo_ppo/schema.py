@@ -159,6 +159,9 @@ class Loss(Section):
     anchor_radius: NotNegative = Field(
         description="Distance from the human within which that is held, metres."
     )
+    anchor_clearance: NotNegative = Field(
+        description="Range to the nearest box below which that is not held, metres; 0 holds everywhere."
+    )
     anchor_window: Annotated[int, Allows("an odd whole number at least 1")] = Field(
         description="Steps over which the actions of the policy at the start are averaged, odd."
     )
