@@ -1,9 +1,11 @@
-"""Train a policy from nothing as the shipped one: demonstrations, D-REX, PD-MORL, MO-PPO, evaluation.
+"""Train a policy from nothing: demonstrations, D-REX, MO-PPO, evaluation.
 
-``make train`` runs this. Every stage is a recipe of its own; options are passed on to them::
+``make train`` runs this. Every stage is a recipe of its own; options are passed on to them. PD-MORL, the
+paper's method, comes in between where it is asked for; so the shipped policies were made::
 
-    python -m recipes.train                                   # the shipped configuration
-    python -m recipes.train --pd-morl seed=1 collector.total_frames=100000
+    python -m recipes.train
+    python -m recipes.train --with-pd-morl
+    python -m recipes.train --without-mo-ppo --pd-morl seed=1 collector.total_frames=100000
     python -m recipes.train --resume runs/train/2026-01-31_12-00-00
 """
 
@@ -62,9 +64,16 @@ def make_parser() -> argparse.ArgumentParser:
         "--resume", type=existing_folder, help="folder of an unfinished training to go on with"
     )
     parser.add_argument("--drex", nargs="*", default=[], help="overrides of recipes/drex")
-    parser.add_argument("--pd-morl", nargs="*", default=[], help="overrides of recipes/pd_morl")
     parser.add_argument("--mo-ppo", nargs="*", default=[], help="overrides of recipes/mo_ppo")
-    parser.add_argument("--without-mo-ppo", action="store_true", help="end with PD-MORL's policy")
+    parser.add_argument(
+        "--with-pd-morl", action="store_true", help="MO-PPO polishes a policy of PD-MORL"
+    )
+    parser.add_argument(
+        "--pd-morl", nargs="*", default=[], help="overrides of recipes/pd_morl, --with-pd-morl"
+    )
+    parser.add_argument(
+        "--without-mo-ppo", action="store_true", help="PD-MORL alone, the paper's method"
+    )
     parser.add_argument(
         "--episodes", type=episodes, default=100, help="of the final evaluation (default: 100)"
     )
@@ -82,6 +91,7 @@ def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
         "drex": args.drex,
         "pd_morl": args.pd_morl,
         "mo_ppo": args.mo_ppo,
+        "with_pd_morl": bool(args.with_pd_morl or args.pd_morl or args.without_mo_ppo),
         "without_mo_ppo": args.without_mo_ppo,
         "episodes": args.episodes,
     }
@@ -137,7 +147,7 @@ def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
     record = Record.load(args.resume.resolve())
     if record.finished:
         raise ValueError(f"{args.resume} is finished: there is nothing to go on with.")
-    if args.drex or args.pd_morl or args.mo_ppo or args.without_mo_ppo:
+    if any((args.drex, args.pd_morl, args.mo_ppo, args.with_pd_morl, args.without_mo_ppo)):
         raise ValueError("--resume goes on with the options of the start: give no others.")
     check(record.options, record.folder)
     held = locked(record)
@@ -157,11 +167,13 @@ def check(options: dict[str, Any], output: Path) -> None:
     from .pd_morl import schema as pd_morl
     from .training.command import check_stage
 
+    plan = Plan(Record(output, options))
     schemas = {"drex": drex, "pd_morl": pd_morl, "mo_ppo": mo_ppo}
     if options["without_mo_ppo"]:
         del schemas["mo_ppo"]
-    plan = Plan(Record(output, options))
-    policy = output / "pd_morl" / "policies" / "last"
+    if not plan.with_pd_morl:
+        del schemas["pd_morl"]
+    policy = output / "pd_morl" / "policies" / "last" if plan.with_pd_morl else None
     found = {}
     for name, module in schemas.items():
         refuse_places(f"--{name.replace('_', '-')}", options[name])
@@ -172,11 +184,15 @@ def check(options: dict[str, Any], output: Path) -> None:
         }[name](output / name)
         option = f"--{name.replace('_', '-')}"
         found[name] = check_stage(option, module, command[1:], output)
+    learner = "pd_morl" if plan.with_pd_morl else "mo_ppo"
     for field in ("observe_human", "observe_human_velocity"):
-        one, other = (found[name]["env"][field] for name in ("drex", "pd_morl"))
+        one, other = (found[name]["env"][field] for name in ("drex", learner))
+        if other is None:  # as it is from nothing
+            other = field == "observe_human"
         if one != other:
+            option = f"--{learner.replace('_', '-')}"
             raise ValueError(
-                f"env.{field} must be the same for --drex and --pd-morl, got {one} and {other}."
+                f"env.{field} must be the same for --drex and {option}, got {one} and {other}."
             )
 
 
@@ -191,6 +207,16 @@ class Plan:
         """The stages take turns: a second thread makes 1.36 times PD-MORL's updates on an idle machine."""
         return min(2, len(os.sched_getaffinity(0)))
 
+    @property
+    def with_pd_morl(self) -> bool:
+        """A record without the option is of when there was no other way."""
+        return self.record.options.get("with_pd_morl", True)
+
+    def _preset(self, stage: str, name: str) -> list[str]:
+        """A preset, unless the user chose another one: Hydra takes one."""
+        chosen = any(one.startswith("preset=") for one in self.record.options[stage])
+        return [] if chosen else [f"preset={name}"]
+
     def made_by_drex(self) -> Path:
         return self.record.folder_of("D-REX") or self.record.folder / "drex"
 
@@ -198,6 +224,8 @@ class Plan:
         return [
             _MODULES["D-REX"],
             f"hydra.run.dir={quoted(folder)}",
+            # What a clone learns from, and a reward model that a noisy learner can follow.
+            *([] if self.with_pd_morl else self._preset("drex", "tracked")),
             f"torch_threads={self.threads}",
             *self.record.options["drex"],
         ]
@@ -213,12 +241,20 @@ class Plan:
             *self.record.options["pd_morl"],
         ]
 
-    def mo_ppo(self, folder: Path, policy: Path) -> list[str]:
+    def mo_ppo(self, folder: Path, policy: Path | None) -> list[str]:
+        drex = self.made_by_drex()
+        if policy is None:
+            start = [
+                *self._preset("mo_ppo", "nothing"),
+                f"demonstrations.dataset={quoted(drex / 'tracked.safetensors')}",
+            ]
+        else:
+            start = [f"policy={quoted(policy)}"]
         return [
             _MODULES["MO-PPO"],
             f"hydra.run.dir={quoted(folder)}",
-            f"policy={quoted(policy)}",
-            f"demonstrations.reward_model={quoted(self.made_by_drex() / 'reward_model')}",
+            *start,
+            f"demonstrations.reward_model={quoted(drex / 'reward_model')}",
             *self.record.options["mo_ppo"],
         ]
 
@@ -227,10 +263,12 @@ def train(record: Record) -> None:
     """Run the stages that are not finished, and record each that is."""
     plan = Plan(record)
     stage(record, "D-REX", plan.drex)
-    morl = stage(record, "PD-MORL", plan.pd_morl)
-    policy = final_policy(morl)
+    policy = None
+    if plan.with_pd_morl:
+        policy = final_policy(stage(record, "PD-MORL", plan.pd_morl))
     if not record.options["without_mo_ppo"]:
-        ppo = stage(record, "MO-PPO", lambda folder: plan.mo_ppo(folder, policy))
+        start = policy
+        ppo = stage(record, "MO-PPO", lambda folder: plan.mo_ppo(folder, start))
         policy = final_policy(ppo)
     count = str(record.options["episodes"])
     command = ["recipes.evaluate", "--policy", str(policy), "--episodes", count, "--grid"]

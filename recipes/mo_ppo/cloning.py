@@ -15,6 +15,11 @@ from torchrl_morl.preferences import PreferenceSpace
 _BATCH, _LR = 512, 1.0e-3
 
 
+def clones(cfg: DictConfig) -> bool:
+    """Whether a training begins with a clone of demonstrations."""
+    return cfg.demonstrations.dataset is not None and cfg.optim.cloning_updates > 0
+
+
 def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
     """Let an actor imitate the demonstrations, the more the style is preferred; in place.
 
@@ -30,7 +35,7 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
         ValueError: for demonstrations of other observations.
     """
     path, updates = cfg.demonstrations.dataset, cfg.optim.cloning_updates
-    if path is None or updates == 0:
+    if not clones(cfg):
         return
     data, _ = load_demonstrations(path)
     check_observation(cfg, path, data["observation"].shape[-1])

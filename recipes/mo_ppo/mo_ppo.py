@@ -38,9 +38,9 @@ from torchrl_morl.deploy import load_policy
 
 from . import penalties
 from .batches import BATCH, failing, failure_rate, make_replay_buffer
-from .cloning import clone
+from .cloning import clone, clones
 from .networks import ENVS_AT_ONCE, make_advantage, make_critic, make_loss, make_policy
-from .optimizers import make_optimizers, make_schedule, noise
+from .optimizers import lmbda, make_optimizers, make_schedule, noise
 from .schema import Config
 from .start import check_start, complete
 
@@ -76,8 +76,9 @@ def main(cfg: DictConfig) -> None:
     env = task.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
     tunable = task.preference_space.tunable
     demo = tunable.index("demo") if "demo" in tunable else None
-    anchored = demo is not None and cfg.loss.anchor_coeff > 0
-    # What it started as: the anchor holds it where the style is preferred.
+    # What it started as, if that is worth keeping: the anchor holds it where the style is preferred.
+    has_style = cfg.policy is not None or clones(cfg)
+    anchored = demo is not None and has_style and cfg.loss.anchor_coeff > 0
     start = copy.deepcopy(actor).requires_grad_(False) if anchored else None
 
     collector = Collector(
@@ -120,7 +121,7 @@ def main(cfg: DictConfig) -> None:
         progress.update(data.numel())
         # The critic starts from nothing: the actor waits until it has learned the values.
         trains_actor = batches >= cfg.optim.critic_batches
-        advantage.lmbda.fill_(cfg.loss.lmbda if trains_actor else 1.0)
+        advantage.lmbda.fill_(lmbda(cfg, collected) if trains_actor else 1.0)
         # Advantages of every objective, weighed by the preference of the episode.
         with timeit("advantage"):
             advantage(data)

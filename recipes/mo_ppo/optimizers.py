@@ -1,4 +1,4 @@
-"""Optimizers, and the schedules of the learning rate and of the noise."""
+"""Optimizers, and the schedules of the learning rate, of the noise and of lambda."""
 
 from __future__ import annotations
 
@@ -49,5 +49,15 @@ def noise(cfg: DictConfig, frames: int) -> torch.Tensor:
         torch.tensor(list(sigma))
         for sigma in (cfg.collector.exploration_sigma, cfg.collector.final_exploration_sigma)
     )
-    share = min(1.0, frames / cfg.collector.total_frames)
-    return first * (last / first) ** share
+    return first * (last / first) ** _share(cfg, frames)
+
+
+def lmbda(cfg: DictConfig, frames: int) -> float:
+    """Lambda of the advantages after so many frames: it goes linearly to the final one."""
+    first, last = cfg.loss.lmbda, cfg.loss.final_lmbda
+    return first + (last - first) * _share(cfg, frames)
+
+
+def _share(cfg: DictConfig, frames: int) -> float:
+    """Of the training, that is over."""
+    return min(1.0, frames / cfg.collector.total_frames)

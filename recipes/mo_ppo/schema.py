@@ -144,6 +144,7 @@ class Loss(Section):
 
     gamma: Discount = Field(description="Discount of a step of 0.2 s.")
     lmbda: Share = Field(description="Lambda of generalized advantage estimation.")
+    final_lmbda: Share = Field(description="The same at the end; between them it changes linearly.")
     level_preferences: bool = Field(
         description="Whether advantages are divided by their usual size at a preference."
     )

@@ -17,7 +17,7 @@ from torchrl.data import Bounded
 
 from envs import NavigationEnv
 from recipes.mo_ppo import mo_ppo
-from recipes.mo_ppo.optimizers import make_schedule, noise
+from recipes.mo_ppo.optimizers import lmbda, make_schedule, noise
 from recipes.training.checkpoint import SafeStateAdapter
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
@@ -398,6 +398,8 @@ def test_the_rate_falls_over_all_frames_of_a_training():
         ("collector.exploration_sigma=[0.05,0]", "exploration_sigma must be positive"),
         ("loss.anchor_coeff=-1", "anchor_coeff must not be negative"),
         ("loss.anchor_radius=-1", "anchor_radius must not be negative"),
+        ("loss.anchor_clearance=-1", "anchor_clearance must not be negative"),
+        ("loss.final_lmbda=1.1", "final_lmbda must be in"),
         ("loss.anchor_window=4", "anchor_window must be an odd number of steps, .* got 4"),
         ("loss.anchor_window=-1", "anchor_window must be an odd number of steps, .* got -1"),
         ("loss.smoothness_coeff=-1", "smoothness_coeff must not be negative"),
@@ -549,6 +551,21 @@ def test_the_noise_falls_geometrically():
     torch.testing.assert_close(noise(cfg, 50), torch.tensor([0.1, 0.2]))
     torch.testing.assert_close(noise(cfg, 100), torch.tensor([0.05, 0.1]))
     torch.testing.assert_close(noise(cfg, 150), torch.tensor([0.05, 0.1]))
+
+
+def test_lambda_goes_linearly_to_its_last_value():
+    cfg = OmegaConf.create(
+        {"loss": {"lmbda": 0.9, "final_lmbda": 0.7}, "collector": {"total_frames": 100}}
+    )
+    assert [round(lmbda(cfg, frames), 6) for frames in (0, 50, 100, 150)] == [0.9, 0.8, 0.7, 0.7]
+
+
+@pytest.mark.parametrize(("updates", "anchored"), [(1, True), (0, False)])
+def test_a_clone_is_an_anchor_and_what_has_learned_nothing_is_none(
+    updates, anchored, tmp_path, demonstrated
+):
+    folder = nothing(tmp_path / "run", *demonstrated, f"optim.cloning_updates={updates}")
+    assert (folder / "log_csv/scalars/train/anchor.csv").exists() == anchored
 
 
 def test_refuses_demonstrations_without_their_objective(tmp_path, demonstrated):
