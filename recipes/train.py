@@ -23,7 +23,13 @@ from typing import IO, Any
 from .arguments import Parser, episodes, existing_folder
 from .stages import Record, is_unused, lock, refuse_places, run, unfinished
 from .training.quoting import quoted
-from .training.run_folder import claim, final_policy, is_over, remove_if_refused
+from .training.run_folder import (
+    claim,
+    final_policy,
+    is_over,
+    last_policy,
+    remove_if_refused,
+)
 
 _RUNS = Path("runs/train")
 _MODULES = {
@@ -75,6 +81,9 @@ def make_parser() -> argparse.ArgumentParser:
         "--without-mo-ppo", action="store_true", help="PD-MORL alone, the paper's method"
     )
     parser.add_argument(
+        "--paper", action="store_true", help="the same with the paper's own settings; hours"
+    )
+    parser.add_argument(
         "--episodes", type=episodes, default=100, help="of the final evaluation (default: 100)"
     )
     return parser
@@ -91,8 +100,11 @@ def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
         "drex": args.drex,
         "pd_morl": args.pd_morl,
         "mo_ppo": args.mo_ppo,
-        "with_pd_morl": bool(args.with_pd_morl or args.pd_morl or args.without_mo_ppo),
-        "without_mo_ppo": args.without_mo_ppo,
+        "with_pd_morl": bool(
+            args.with_pd_morl or args.pd_morl or args.without_mo_ppo or args.paper
+        ),
+        "without_mo_ppo": args.without_mo_ppo or args.paper,
+        "paper": args.paper,
         "episodes": args.episodes,
     }
     output = args.output
@@ -147,7 +159,8 @@ def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
     record = Record.load(args.resume.resolve())
     if record.finished:
         raise ValueError(f"{args.resume} is finished: there is nothing to go on with.")
-    if any((args.drex, args.pd_morl, args.mo_ppo, args.with_pd_morl, args.without_mo_ppo)):
+    given = (args.drex, args.pd_morl, args.mo_ppo)
+    if any((*given, args.with_pd_morl, args.without_mo_ppo, args.paper)):
         raise ValueError("--resume goes on with the options of the start: give no others.")
     check(record.options, record.folder)
     held = locked(record)
@@ -212,6 +225,11 @@ class Plan:
         """A record without the option is of when there was no other way."""
         return self.record.options.get("with_pd_morl", True)
 
+    @property
+    def paper(self) -> bool:
+        """Whether everything is as the paper says."""
+        return self.record.options.get("paper", False)
+
     def _preset(self, stage: str, name: str) -> list[str]:
         """A preset, unless the user chose another one: Hydra takes one."""
         chosen = any(one.startswith("preset=") for one in self.record.options[stage])
@@ -224,6 +242,7 @@ class Plan:
         return [
             _MODULES["D-REX"],
             f"hydra.run.dir={quoted(folder)}",
+            *(self._preset("drex", "paper") if self.paper else []),
             # What a clone learns from, and a reward model that a noisy learner can follow.
             *([] if self.with_pd_morl else self._preset("drex", "tracked")),
             f"torch_threads={self.threads}",
@@ -232,11 +251,16 @@ class Plan:
 
     def pd_morl(self, folder: Path) -> list[str]:
         drex = self.made_by_drex()
+        if self.paper:
+            # There demonstrations speak through the reward model alone.
+            source = self._preset("pd_morl", "paper")
+        else:
+            source = [f"demonstrations.dataset={quoted(drex / 'demonstrations.safetensors')}"]
         return [
             _MODULES["PD-MORL"],
             f"hydra.run.dir={quoted(folder)}",
             f"demonstrations.reward_model={quoted(drex / 'reward_model')}",
-            f"demonstrations.dataset={quoted(drex / 'demonstrations.safetensors')}",
+            *source,
             f"compute.torch_threads={self.threads}",
             *self.record.options["pd_morl"],
         ]
@@ -265,7 +289,8 @@ def train(record: Record) -> None:
     stage(record, "D-REX", plan.drex)
     policy = None
     if plan.with_pd_morl:
-        policy = final_policy(stage(record, "PD-MORL", plan.pd_morl))
+        trained = stage(record, "PD-MORL", plan.pd_morl)
+        policy = last_policy(trained) if plan.paper else final_policy(trained)
     if not record.options["without_mo_ppo"]:
         start = policy
         ppo = stage(record, "MO-PPO", lambda folder: plan.mo_ppo(folder, start))

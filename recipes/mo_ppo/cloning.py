@@ -56,7 +56,8 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
             wanted = batch["action"]
             action = actor(batch.select("observation").set("preference", preference))["action"]
             error = (action - wanted).square().sum(-1)
-            loss = (preference[..., demo] ** 3 * error).mean()
+            share = preference[..., demo]
+            loss = (share**3 * error + (1 - share) ** 3 * action.square().sum(-1)).mean()
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()

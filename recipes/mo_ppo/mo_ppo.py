@@ -80,6 +80,8 @@ def main(cfg: DictConfig) -> None:
     has_style = cfg.policy is not None or clones(cfg)
     anchored = demo is not None and has_style and cfg.loss.anchor_coeff > 0
     start = copy.deepcopy(actor).requires_grad_(False) if anchored else None
+    # A clone knows the style alone, and that where nothing else is wished.
+    shown = task.preference_space.corners()[demo].to(task.device) if clones(cfg) else None
 
     collector = Collector(
         env,
@@ -127,7 +129,7 @@ def main(cfg: DictConfig) -> None:
             advantage(data)
             if start is not None:
                 data["start_action"] = penalties.start_action(
-                    cfg, start, data, envs_at_once=ENVS_AT_ONCE
+                    cfg, start, data, envs_at_once=ENVS_AT_ONCE, preference=shown
                 )
             data["fails"] = failing(data)
         replay_buffer.empty()

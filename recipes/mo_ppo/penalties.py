@@ -64,10 +64,21 @@ def compute(
 
 @torch.no_grad()
 def start_action(
-    cfg: DictConfig, start: TensorDictSequential, data: TensorDictBase, *, envs_at_once: int
+    cfg: DictConfig,
+    start: TensorDictSequential,
+    data: TensorDictBase,
+    *,
+    envs_at_once: int,
+    preference: Tensor | None = None,
 ) -> Tensor:
-    """What the policy at the start does in ``data`` ``[E, T]``, averaged over time, ``[E, T, A]``."""
-    parts = data.select(*start.in_keys).split(envs_at_once)
+    """What the policy at the start does in ``data`` ``[E, T]``, averaged over time, ``[E, T, A]``.
+
+    With ``preference`` ``[P]`` what it does at that one, and not at those of the data.
+    """
+    inputs = data.select(*start.in_keys)
+    if preference is not None:
+        inputs["preference"] = preference.expand_as(inputs["preference"])
+    parts = inputs.split(envs_at_once)
     return average_over_time(
         torch.cat([start(part)["action"] for part in parts]),
         data["collector", "traj_ids"],

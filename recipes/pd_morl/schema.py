@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from recipes.training import schema
-from recipes.training.fields import Decay, NotNegative
+from recipes.training.fields import CountOrNone, Decay, NotNegative
 
 
 class Compute(schema.Compute):
@@ -20,6 +20,27 @@ class Compute(schema.Compute):
     bfloat16: bool | None = Field(
         description="Mixed precision of the updates; null is where the processor multiplies bfloat16."
     )
+
+
+class Preference(schema.Preference):
+    """With the forms of PD-MORL's code."""
+
+    slabs: bool = Field(
+        description="Whether those parts are slabs of the first weight, as in PD-MORL's code."
+    )
+    relabel_copies: CountOrNone = Field(
+        description="Copies with other preferences that the buffer keeps of a transition, as in "
+        "PD-MORL's code; 0 relabels at sample time."
+    )
+
+    @model_validator(mode="after")
+    def _relabels_once(self) -> Preference:
+        if self.relabel_copies and self.relabel_ratio:
+            raise ValueError(
+                "preference.relabel_ratio must be 0 with preference.relabel_copies, which relabel "
+                f"what is stored, got {self.relabel_ratio} and {self.relabel_copies}."
+            )
+        return self
 
 
 class Network(schema.Network):
@@ -74,6 +95,7 @@ class Config(schema.OffPolicy):
     """PD-MORL."""
 
     compute: Compute
+    preference: Preference
     collector: schema.NoisyCollector
     network: Network
     loss: Loss

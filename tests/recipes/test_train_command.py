@@ -132,6 +132,17 @@ def test_pd_morl_comes_in_between_where_it_is_asked_for(options, names, stages, 
     assert "preset=tracked" not in stages[0][1]
 
 
+def test_the_paper_is_one_flag(stages, tmp_path):
+    """No MO-PPO, demonstrations through the reward model alone."""
+    output = tmp_path / "run"
+    assert train("--output", output, "--paper", "--pd-morl", "seed=1") == 0
+    assert [name for name, _ in stages] == ["D-REX", "PD-MORL", "evaluation"]
+    drex, morl, evaluation = (command for _, command in stages)
+    assert "preset=paper" in drex and {"preset=paper", "seed=1"} <= set(morl)
+    assert not any("dataset" in one for one in morl)
+    assert f"{output}/pd_morl/policies/000000001" in evaluation
+
+
 def test_a_record_of_before_goes_on_with_pd_morl(stages, tmp_path):
     options = {"drex": [], "pd_morl": [], "mo_ppo": [], "without_mo_ppo": False, "episodes": 1}
     Record(tmp_path, options).save()
