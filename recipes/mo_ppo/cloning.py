@@ -23,8 +23,9 @@ def clones(cfg: DictConfig) -> bool:
 def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
     """Let an actor imitate the demonstrations, the more the style is preferred; in place.
 
-    The squared error of the action, weighed by the cube of the preference for the style. The rest of
-    the preferences only starts from a policy that drives.
+    The squared error of the action, weighed by the cube of the preference for the style, and the square of
+    the action itself, weighed by the cube of the rest. Without that the other preferences start in the
+    style, too, from which they are slow to get away: whoever is to keep his distance would pass as near.
 
     Args:
         cfg: nothing happens without ``demonstrations.dataset``.

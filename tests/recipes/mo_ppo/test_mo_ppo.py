@@ -157,7 +157,7 @@ def test_anchor_holds_a_policy_with_demonstrations(tmp_path):
     model = RewardModel(in_features=OBSERVATION_SIZE + 2, num_cells=(8,), num_members=1)
     save_reward_model(tmp_path / "model", model, card={})
     moved = []
-    for coefficient in (0.0, 1e6):
+    for coefficient in (1e-9, 1e6):
         folder = run(
             tmp_path / str(coefficient),
             start,
@@ -405,6 +405,7 @@ def test_the_rate_falls_over_all_frames_of_a_training():
         ("loss.smoothness_coeff=-1", "smoothness_coeff must not be negative"),
         ("loss.standing_coeff=-1", "standing_coeff must not be negative"),
         ("loss.gamma=1.5", "loss.gamma must be in"),
+        ("collector.exploration_share=0", "exploration_share must be in"),
         ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),
         ("optim.batch_size=0", "optim.batch_size must lie between"),
         ("optim.penalty_batch_size=0", "penalty_batch_size must be at least 1, got 0"),
@@ -478,9 +479,10 @@ def test_learns_without_a_policy(tmp_path):
     policy = load_policy(folder / "policies" / "000000128")
     assert policy.preference_space == SPACE
     assert "start" not in policy.card
-    # Null is what PD-MORL trains in.
     config = policy.card["config"]
-    assert (config["env"]["scene"], config["evaluation"]["scene"]) == ("exploring", "static")
+    assert (config["env"]["scene"], config["evaluation"]["scene"]) == ("static", "static")
+    # Null is what PD-MORL trains with.
+    assert (config["env"]["goal_radius"], config["env"]["max_episode_steps"]) == (0.3, 300)
     again = nothing(tmp_path / "again")
     name = "policies/000000128/policy.safetensors"
     assert (again / name).read_bytes() == (folder / name).read_bytes()
@@ -517,7 +519,7 @@ def demonstrated(tmp_path) -> tuple[str, str]:
 
 def test_clones_demonstrations_first(tmp_path, demonstrated):
     """The actor waits for the critic: what is saved is the clone."""
-    errors = []
+    errors, elsewhere = [], []
     for updates in (0, 300):
         folder = nothing(
             tmp_path / str(updates),
@@ -534,7 +536,11 @@ def test_clones_demonstrations_first(tmp_path, demonstrated):
         )
         action = policy.actor(inputs)["action"]
         errors.append((action - torch.tensor([0.5, -0.25])).square().mean().item())
+        inputs["preference"] = (1 - corner).div(2).expand(50, -1)
+        elsewhere.append(policy.actor(inputs)["action"].square().mean().item())
     assert errors[1] < 0.02 < errors[0]
+    # Where the style is not wished nothing is imitated.
+    assert max(elsewhere) < 0.03
 
 
 def test_the_noise_falls_geometrically():
@@ -543,6 +549,7 @@ def test_the_noise_falls_geometrically():
             "collector": {
                 "exploration_sigma": [0.2, 0.4],
                 "final_exploration_sigma": [0.05, 0.1],
+                "exploration_share": 1.0,
                 "total_frames": 100,
             }
         }
@@ -551,11 +558,19 @@ def test_the_noise_falls_geometrically():
     torch.testing.assert_close(noise(cfg, 50), torch.tensor([0.1, 0.2]))
     torch.testing.assert_close(noise(cfg, 100), torch.tensor([0.05, 0.1]))
     torch.testing.assert_close(noise(cfg, 150), torch.tensor([0.05, 0.1]))
+    # In half of the training.
+    cfg.collector.exploration_share = 0.5
+    torch.testing.assert_close(noise(cfg, 25), torch.tensor([0.1, 0.2]))
+    torch.testing.assert_close(noise(cfg, 50), torch.tensor([0.05, 0.1]))
+    torch.testing.assert_close(noise(cfg, 75), torch.tensor([0.05, 0.1]))
 
 
 def test_lambda_goes_linearly_to_its_last_value():
     cfg = OmegaConf.create(
-        {"loss": {"lmbda": 0.9, "final_lmbda": 0.7}, "collector": {"total_frames": 100}}
+        {
+            "loss": {"lmbda": 0.9, "final_lmbda": 0.7},
+            "collector": {"total_frames": 100, "exploration_share": 1.0},
+        }
     )
     assert [round(lmbda(cfg, frames), 6) for frames in (0, 50, 100, 150)] == [0.9, 0.8, 0.7, 0.7]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
+from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torchrl.data import Bounded
 
@@ -82,6 +83,24 @@ def test_anchor_lets_go_beside_a_box():
 
     for clearance, held in ((0.0, 2), (0.6, 1), (0.9, 0)):
         torch.testing.assert_close(cost(clearance), torch.tensor(math.log(3) * held / 2))
+
+
+def test_what_a_clone_would_do_is_asked_at_one_preference():
+    """A clone knows the style at its corner alone, whatever an episode prefers."""
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=1 + 2, num_cells=())
+    with torch.no_grad():  # the first weight is the action
+        actor[0].module[-1].weight.copy_(torch.tensor([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]))
+    data = TensorDict(
+        observation=torch.zeros(2, 3, 1),
+        preference=torch.tensor([0.5, 0.5]).expand(2, 3, 2),
+        collector=TensorDict(traj_ids=torch.tensor([[0, 0, 0], [1, 1, 1]]), batch_size=[2, 3]),
+        batch_size=[2, 3],
+    )
+    cfg = OmegaConf.create({"loss": {"anchor_window": 1}})
+    for preference, first in ((None, 0.5), (torch.tensor([1.0, 0.0]), 1.0)):
+        action = penalties.start_action(cfg, actor, data, envs_at_once=1, preference=preference)
+        torch.testing.assert_close(action, torch.full((2, 3, 2), first).tanh())
+    assert (data["preference"] == 0.5).all()
 
 
 def test_averages_over_the_steps_of_an_episode():
