@@ -55,6 +55,8 @@ def noise(cfg: DictConfig, frames: int) -> torch.Tensor:
 def lmbda(cfg: DictConfig, frames: int) -> float:
     """Lambda of the advantages after so many frames: it goes linearly to the final one."""
     first, last = cfg.loss.lmbda, cfg.loss.final_lmbda
+    if last is None:
+        return first
     return first + (last - first) * _share(cfg, frames)
 
 

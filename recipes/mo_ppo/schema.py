@@ -149,7 +149,9 @@ class Loss(Section):
 
     gamma: Discount = Field(description="Discount of a step of 0.2 s.")
     lmbda: Share = Field(description="Lambda of generalized advantage estimation.")
-    final_lmbda: Share = Field(description="The same at the end; between them it changes linearly.")
+    final_lmbda: Share | None = Field(
+        description="The same at the end, linearly between them; null is no change."
+    )
     level_preferences: bool = Field(
         description="Whether advantages are divided by their usual size at a preference."
     )

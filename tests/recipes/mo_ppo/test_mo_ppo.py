@@ -573,6 +573,8 @@ def test_lambda_goes_linearly_to_its_last_value():
         }
     )
     assert [round(lmbda(cfg, frames), 6) for frames in (0, 50, 100, 150)] == [0.9, 0.8, 0.7, 0.7]
+    cfg.loss.final_lmbda = None
+    assert lmbda(cfg, 100) == 0.9
 
 
 @pytest.mark.parametrize(("updates", "anchored"), [(1, True), (0, False)])
