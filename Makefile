@@ -20,7 +20,7 @@ help: ## list the targets
 demo: $(STAMP) ## drive one robot through several preferences, and film it
 	@$(RUN) recipes.demo $(ARGS)
 
-train: $(STAMP) ## train a policy from nothing, ARGS="--with-pd-morl" as the shipped one
+train: $(STAMP) ## train a policy from nothing as the shipped one, ARGS="--without-pd-morl" sooner
 	@$(RUN) recipes.train $(ARGS)
 
 test: $(STAMP) ## run the tests and the docstring examples, ARGS="-m slow" for the long ones

@@ -60,7 +60,7 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
             share = preference[..., demo]
             loss = (
                 share**3 * (action - wanted).square().sum(-1)
-                + (1 - share) * (action - wanted * ahead).square().sum(-1)
+                + (1 - share) ** 3 * (action - wanted * ahead).square().sum(-1)
             ).mean()
             optimizer.zero_grad()
             loss.backward()

@@ -68,11 +68,17 @@ def train(*arguments: object) -> int | str:
             "env.observe_human must be the same for --drex and --pd-morl, got True and False.",
         ),
         (
-            ["--drex", "env.observe_human=false"],
+            ["--without-pd-morl", "--drex", "env.observe_human=false"],
             "env.observe_human must be the same for --drex and --mo-ppo, got False and True.",
         ),
+        (
+            ["--without-pd-morl", "--pd-morl", "seed=1"],
+            "--pd-morl needs PD-MORL: leave it out, or --without-pd-morl.",
+        ),
+        (["--without-pd-morl", "--without-mo-ppo"], "--without-mo-ppo needs PD-MORL"),
+        (["--without-pd-morl", "--paper"], "--paper needs PD-MORL"),
         (["--mo-ppo", "preset=fast"], "--mo-ppo: In 'config': Could not find 'preset/fast'"),
-        (["--mo-ppo", "preset=quick"], "--mo-ppo: "),
+        (["--without-pd-morl", "--mo-ppo", "preset=quick"], "--mo-ppo: "),
         (
             ["--pd-morl", "hydra.run.dir=x"],
             "--pd-morl hydra.run.dir=x: the stages run in the folder of --output, leave it out.",
@@ -102,7 +108,8 @@ def test_a_mistake_is_one_line_before_the_first_stage(arguments, message, stages
 
 def test_a_training_needs_no_pd_morl(stages, tmp_path):
     output = tmp_path / "run"
-    assert train("--output", output, "--drex", "seed=2", "--mo-ppo", "seed=3") == 0
+    given = ("--without-pd-morl", "--drex", "seed=2", "--mo-ppo", "seed=3")
+    assert train("--output", output, *given) == 0
     assert [name for name, _ in stages] == ["D-REX", "MO-PPO", "evaluation"]
     drex, ppo, evaluation = (command for _, command in stages)
     # R and the drives that are cloned are of one run, whose presets are the ones that fit.
@@ -120,13 +127,13 @@ def test_a_training_needs_no_pd_morl(stages, tmp_path):
 @pytest.mark.parametrize(
     ("options", "names"),
     [
-        (["--with-pd-morl"], ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]),
+        ([], ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]),
         (["--pd-morl", "seed=1"], ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]),
         (["--without-mo-ppo"], ["D-REX", "PD-MORL", "evaluation"]),
-        (["--drex", "preset=quick"], ["D-REX", "MO-PPO", "evaluation"]),
+        (["--without-pd-morl", "--drex", "preset=quick"], ["D-REX", "MO-PPO", "evaluation"]),
     ],
 )
-def test_pd_morl_comes_in_between_where_it_is_asked_for(options, names, stages, tmp_path):
+def test_the_stages_are_those_that_are_asked_for(options, names, stages, tmp_path):
     assert train("--output", tmp_path / "run", *options) == 0
     assert [name for name, _ in stages] == names
     assert "preset=tracked" not in stages[0][1]
@@ -152,8 +159,7 @@ def test_a_record_of_before_goes_on_with_pd_morl(stages, tmp_path):
 
 def test_a_training_records_what_is_finished(stages, tmp_path):
     output = tmp_path / "ä (1),b=c"
-    given = ("--with-pd-morl", "--drex", "seed=2", "--episodes", 5)
-    assert train("--output", output, *given) == 0
+    assert train("--output", output, "--drex", "seed=2", "--episodes", 5) == 0
     assert [name for name, _ in stages] == ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]
     assert f"hydra.run.dir='{output}/drex'" in stages[0][1]
     record = Record.load(output)
@@ -190,7 +196,7 @@ def test_a_training_that_was_cut_short_goes_on(
 
     monkeypatch.setattr(recipes.train, "run", cut)
     output = tmp_path / "run"
-    assert train("--output", output, "--with-pd-morl", "--drex", "seed=2") == 130
+    assert train("--output", output, "--drex", "seed=2") == 130
     go_on = f"python -m recipes.train --resume {output}"
     assert capsys.readouterr().err == f"stopped; go on with: {go_on}\n"
     assert train("--output", output) == 2
