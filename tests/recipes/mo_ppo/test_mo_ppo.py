@@ -537,10 +537,10 @@ def test_clones_demonstrations_first(tmp_path, demonstrated):
         action = policy.actor(inputs)["action"]
         errors.append((action - torch.tensor([0.5, -0.25])).square().mean().item())
         inputs["preference"] = (1 - corner).div(2).expand(50, -1)
-        elsewhere.append((policy.actor(inputs)["action"] - torch.tensor([0.5, 0.0])).abs().mean())
+        elsewhere.append(policy.actor(inputs)["action"].square().mean().item())
     assert errors[1] < 0.02 < errors[0]
-    # Where the style is not wished the speed alone is imitated.
-    assert elsewhere[1] < 0.1 < elsewhere[0]
+    # Where the style is not wished nothing is imitated.
+    assert max(elsewhere) < 0.03
 
 
 def test_the_noise_falls_geometrically():
