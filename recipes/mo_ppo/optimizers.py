@@ -61,6 +61,5 @@ def lmbda(cfg: DictConfig, frames: int) -> float:
 
 
 def _share(cfg: DictConfig, frames: int) -> float:
-    """Of the change of noise and lambda, that is over."""
-    section = cfg.collector
-    return min(1.0, frames / (section.exploration_share * section.total_frames))
+    """Of the training, that is over."""
+    return min(1.0, frames / cfg.collector.total_frames)

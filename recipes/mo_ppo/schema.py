@@ -31,8 +31,6 @@ from recipes.training.fields import (
     Size,
 )
 
-_Part = Annotated[float, Field(gt=0, le=1)]
-
 
 def _some_noise(sigma: list[float]) -> list[float]:
     if len(sigma) != 2 or min(sigma) <= 0:
@@ -133,9 +131,6 @@ class Collector(Section):
     final_exploration_sigma: Annotated[
         list[float], AfterValidator(_some_noise), Allows("two positive numbers")
     ] = Field(description="The same at the end; between them it falls geometrically.")
-    exploration_share: _Part = Field(
-        description="Share of the training after which noise and lambda are the final ones."
-    )
 
 
 class ReplayBuffer(Section):

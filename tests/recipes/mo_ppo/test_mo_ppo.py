@@ -405,7 +405,6 @@ def test_the_rate_falls_over_all_frames_of_a_training():
         ("loss.smoothness_coeff=-1", "smoothness_coeff must not be negative"),
         ("loss.standing_coeff=-1", "standing_coeff must not be negative"),
         ("loss.gamma=1.5", "loss.gamma must be in"),
-        ("collector.exploration_share=0", "exploration_share must be in"),
         ("collector.frames_per_batch=30", "must be a multiple of env.num_envs, 4, got 30"),
         ("optim.batch_size=0", "optim.batch_size must lie between"),
         ("optim.penalty_batch_size=0", "penalty_batch_size must be at least 1, got 0"),
@@ -549,7 +548,6 @@ def test_the_noise_falls_geometrically():
             "collector": {
                 "exploration_sigma": [0.2, 0.4],
                 "final_exploration_sigma": [0.05, 0.1],
-                "exploration_share": 1.0,
                 "total_frames": 100,
             }
         }
@@ -558,18 +556,13 @@ def test_the_noise_falls_geometrically():
     torch.testing.assert_close(noise(cfg, 50), torch.tensor([0.1, 0.2]))
     torch.testing.assert_close(noise(cfg, 100), torch.tensor([0.05, 0.1]))
     torch.testing.assert_close(noise(cfg, 150), torch.tensor([0.05, 0.1]))
-    # In half of the training.
-    cfg.collector.exploration_share = 0.5
-    torch.testing.assert_close(noise(cfg, 25), torch.tensor([0.1, 0.2]))
-    torch.testing.assert_close(noise(cfg, 50), torch.tensor([0.05, 0.1]))
-    torch.testing.assert_close(noise(cfg, 75), torch.tensor([0.05, 0.1]))
 
 
 def test_lambda_goes_linearly_to_its_last_value():
     cfg = OmegaConf.create(
         {
             "loss": {"lmbda": 0.9, "final_lmbda": 0.7},
-            "collector": {"total_frames": 100, "exploration_share": 1.0},
+            "collector": {"total_frames": 100},
         }
     )
     assert [round(lmbda(cfg, frames), 6) for frames in (0, 50, 100, 150)] == [0.9, 0.8, 0.7, 0.7]
