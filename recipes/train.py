@@ -1,8 +1,10 @@
 """Train a policy from nothing as the shipped one: demonstrations, D-REX, PD-MORL, MO-PPO, evaluation.
 
-``make train`` runs this. Every stage is a recipe of its own; options are passed on to them::
+``make train`` runs this. Every stage is a recipe of its own; options are passed on to them. MO-PPO learns
+without PD-MORL, too, in less time and closer to the demonstrations::
 
     python -m recipes.train                                   # the shipped configuration
+    python -m recipes.train --without-pd-morl
     python -m recipes.train --pd-morl seed=1 collector.total_frames=100000
     python -m recipes.train --resume runs/train/2026-01-31_12-00-00
 """
@@ -20,7 +22,7 @@ from . import stages
 from .arguments import Parser, episodes, existing_folder
 from .stages import Record, refuse_places
 from .training.quoting import quoted
-from .training.run_folder import final_policy
+from .training.run_folder import final_policy, last_policy
 
 _RUNS = Path("runs/train")
 _MODULES = {
@@ -53,7 +55,15 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--drex", nargs="*", default=[], help="overrides of recipes/drex")
     parser.add_argument("--pd-morl", nargs="*", default=[], help="overrides of recipes/pd_morl")
     parser.add_argument("--mo-ppo", nargs="*", default=[], help="overrides of recipes/mo_ppo")
-    parser.add_argument("--without-mo-ppo", action="store_true", help="end with PD-MORL's policy")
+    parser.add_argument(
+        "--without-pd-morl", action="store_true", help="MO-PPO alone, from a clone of the drives"
+    )
+    parser.add_argument(
+        "--without-mo-ppo", action="store_true", help="PD-MORL alone, the paper's method"
+    )
+    parser.add_argument(
+        "--paper", action="store_true", help="the same with the paper's own settings; hours"
+    )
     parser.add_argument(
         "--episodes", type=episodes, default=100, help="of the final evaluation (default: 100)"
     )
@@ -72,13 +82,33 @@ def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
         "drex": args.drex,
         "pd_morl": args.pd_morl,
         "mo_ppo": args.mo_ppo,
-        "without_mo_ppo": args.without_mo_ppo,
+        "without_pd_morl": args.without_pd_morl,
+        "without_mo_ppo": args.without_mo_ppo or args.paper,
+        "paper": args.paper,
         "episodes": args.episodes,
     }
+    if args.without_pd_morl:
+        check_without_pd_morl(args)
     if args.output is not None:
         stages.refuse_used(args.output)
     check(options, args.output or _RUNS / "new")
     return stages.begin(_RUNS, args.output, options, "recipes.train")
+
+
+def check_without_pd_morl(args: argparse.Namespace) -> None:
+    """Refuse options that need it.
+
+    Raises:
+        ValueError: in one line.
+    """
+    others = {
+        "--pd-morl": args.pd_morl,
+        "--without-mo-ppo": args.without_mo_ppo,
+        "--paper": args.paper,
+    }
+    for name, given in others.items():
+        if given:
+            raise ValueError(f"{name} needs PD-MORL: leave it out, or --without-pd-morl.")
 
 
 def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
@@ -88,9 +118,17 @@ def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
         ValueError: if it is over, if it is none, or for options that would change it.
     """
     record = stages.to_resume(
-        args.resume, drex=list, pd_morl=list, mo_ppo=list, without_mo_ppo=bool, episodes=int
+        args.resume,
+        drex=list,
+        pd_morl=list,
+        mo_ppo=list,
+        without_pd_morl=(bool, type(None)),  # of before there was such an option
+        without_mo_ppo=bool,
+        paper=(bool, type(None)),
+        episodes=int,
     )
-    if args.drex or args.pd_morl or args.mo_ppo or args.without_mo_ppo:
+    given = (args.drex, args.pd_morl, args.mo_ppo)
+    if any((*given, args.without_pd_morl, args.without_mo_ppo, args.paper)):
         raise ValueError("--resume goes on with the options of the start: give no others.")
     check(record.options, record.folder)
     held = stages.locked(record)
@@ -110,11 +148,13 @@ def check(options: dict[str, Any], output: Path) -> None:
     from .pd_morl import schema as pd_morl
     from .training.command import check_stage
 
+    plan = Plan(Record(output, options))
     schemas = {"drex": drex, "pd_morl": pd_morl, "mo_ppo": mo_ppo}
     if options["without_mo_ppo"]:
         del schemas["mo_ppo"]
-    plan = Plan(Record(output, options))
-    policy = output / "pd_morl" / "policies" / "last"
+    if not plan.with_pd_morl:
+        del schemas["pd_morl"]
+    policy = output / "pd_morl" / "policies" / "last" if plan.with_pd_morl else None
     found = {}
     for name, module in schemas.items():
         refuse_places(f"--{name.replace('_', '-')}", options[name])
@@ -125,11 +165,15 @@ def check(options: dict[str, Any], output: Path) -> None:
         }[name](output / name)
         option = f"--{name.replace('_', '-')}"
         found[name] = check_stage(option, module, command[1:], output)
+    learner = "pd_morl" if plan.with_pd_morl else "mo_ppo"
     for field in ("observe_human", "observe_human_velocity"):
-        one, other = (found[name]["env"][field] for name in ("drex", "pd_morl"))
+        one, other = (found[name]["env"][field] for name in ("drex", learner))
+        if other is None:  # as it is from nothing
+            other = field == "observe_human"
         if one != other:
+            option = f"--{learner.replace('_', '-')}"
             raise ValueError(
-                f"env.{field} must be the same for --drex and --pd-morl, got {one} and {other}."
+                f"env.{field} must be the same for --drex and {option}, got {one} and {other}."
             )
 
 
@@ -144,6 +188,21 @@ class Plan:
         """The stages take turns: a second thread makes 1.36 times PD-MORL's updates on an idle machine."""
         return min(2, len(os.sched_getaffinity(0)))
 
+    @property
+    def with_pd_morl(self) -> bool:
+        """A record without the option is of when there was no other way."""
+        return not self.record.options.get("without_pd_morl", False)
+
+    @property
+    def paper(self) -> bool:
+        """Whether everything is as the paper says."""
+        return self.record.options.get("paper", False)
+
+    def _preset(self, stage: str, name: str) -> list[str]:
+        """A preset, unless the user chose another one: Hydra takes one."""
+        chosen = any(one.startswith("preset=") for one in self.record.options[stage])
+        return [] if chosen else [f"preset={name}"]
+
     def made_by_drex(self) -> Path:
         return self.record.folder_of("D-REX") or self.record.folder / "drex"
 
@@ -151,27 +210,43 @@ class Plan:
         return [
             _MODULES["D-REX"],
             f"hydra.run.dir={quoted(folder)}",
+            *(self._preset("drex", "paper") if self.paper else []),
+            # What a clone learns from, and a reward model that a noisy learner can follow.
+            *([] if self.with_pd_morl else self._preset("drex", "tracked")),
             f"torch_threads={self.threads}",
             *self.record.options["drex"],
         ]
 
     def pd_morl(self, folder: Path) -> list[str]:
         drex = self.made_by_drex()
+        if self.paper:
+            # There demonstrations speak through the reward model alone.
+            source = self._preset("pd_morl", "paper")
+        else:
+            source = [f"demonstrations.dataset={quoted(drex / 'demonstrations.safetensors')}"]
         return [
             _MODULES["PD-MORL"],
             f"hydra.run.dir={quoted(folder)}",
             f"demonstrations.reward_model={quoted(drex / 'reward_model')}",
-            f"demonstrations.dataset={quoted(drex / 'demonstrations.safetensors')}",
+            *source,
             f"compute.torch_threads={self.threads}",
             *self.record.options["pd_morl"],
         ]
 
-    def mo_ppo(self, folder: Path, policy: Path) -> list[str]:
+    def mo_ppo(self, folder: Path, policy: Path | None) -> list[str]:
+        drex = self.made_by_drex()
+        if policy is None:
+            start = [
+                *self._preset("mo_ppo", "nothing"),
+                f"demonstrations.dataset={quoted(drex / 'tracked.safetensors')}",
+            ]
+        else:
+            start = [f"policy={quoted(policy)}"]
         return [
             _MODULES["MO-PPO"],
             f"hydra.run.dir={quoted(folder)}",
-            f"policy={quoted(policy)}",
-            f"demonstrations.reward_model={quoted(self.made_by_drex() / 'reward_model')}",
+            *start,
+            f"demonstrations.reward_model={quoted(drex / 'reward_model')}",
             *self.record.options["mo_ppo"],
         ]
 
@@ -180,11 +255,14 @@ def train(record: Record) -> None:
     """Run the stages that are not finished, and record each that is."""
     plan = Plan(record)
     stages.stage(record, "D-REX", _FOLDERS["D-REX"], plan.drex)
-    morl = stages.stage(record, "PD-MORL", _FOLDERS["PD-MORL"], plan.pd_morl)
-    policy = final_policy(morl)
+    policy = None
+    if plan.with_pd_morl:
+        trained = stages.stage(record, "PD-MORL", _FOLDERS["PD-MORL"], plan.pd_morl)
+        policy = last_policy(trained) if plan.paper else final_policy(trained)
     if not record.options["without_mo_ppo"]:
+        start = policy
         ppo = stages.stage(
-            record, "MO-PPO", _FOLDERS["MO-PPO"], lambda folder: plan.mo_ppo(folder, policy)
+            record, "MO-PPO", _FOLDERS["MO-PPO"], lambda folder: plan.mo_ppo(folder, start)
         )
         policy = final_policy(ppo)
     count = str(record.options["episodes"])

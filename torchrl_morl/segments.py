@@ -20,7 +20,7 @@ class PreferenceSegments:
 
     PD-MORL (https://arxiv.org/abs/2208.07914) gives every parallel environment its own part of the
     preference space, so that one batch always covers all of it. Its code cuts a sorted grid into
-    slabs along the first objective; here:
+    slabs along the first objective, and so does ``slabs``; otherwise:
 
     - ``C_p = T``: cell ``i`` holds the preferences whose largest entry is the ``i``-th (ties: the
       first of them), i.e. those nearest to corner ``i``.
@@ -35,6 +35,8 @@ class PreferenceSegments:
     Args:
         preference_space (PreferenceSpace): the space to cut.
         num_segments (int): the number ``C_p`` of cells, at least one.
+        slabs (bool): cut along the first entry alone: it rises from cell to cell, and within a cell the
+            others take any share of what is left.
 
     Raises:
         ValueError: if there is less than one segment.
@@ -51,6 +53,7 @@ class PreferenceSegments:
 
     preference_space: PreferenceSpace
     num_segments: int
+    slabs: bool = False
 
     def __post_init__(self) -> None:
         if self.num_segments < 1:
@@ -67,7 +70,7 @@ class PreferenceSegments:
 
         """
         self.preference_space.check_shape(preference)
-        if self.num_segments == self.preference_space.num_tunable:
+        if self._by_largest:
             return preference.argmax(-1)
         cube = _simplex_to_cube(preference.double()).unsqueeze(-2)
         lower, upper = self._boxes(preference.device)
@@ -103,7 +106,7 @@ class PreferenceSegments:
             return self.preference_space.sample(
                 segment_index.shape, distribution, generator, segment_index.device
             )
-        if self.num_segments == size:
+        if self._by_largest:
             # All laws are exchangeable, so swapping the largest entry with the wanted one leaves
             # the distribution within the cell.
             drawn = self.preference_space.sample(
@@ -145,9 +148,14 @@ class PreferenceSegments:
                 len(pending), distribution, generator, flat_index.device
             )
 
+    @property
+    def _by_largest(self) -> bool:
+        return self.num_segments == self.preference_space.num_tunable and not self.slabs
+
     def _boxes(self, device: torch.device) -> tuple[Tensor, Tensor]:
+        cut = _equal_slabs if self.slabs else _equal_boxes
         boxes = torch.tensor(
-            _equal_boxes(self.preference_space.num_tunable - 1, self.num_segments),
+            cut(self.preference_space.num_tunable - 1, self.num_segments),
             dtype=torch.double,
             device=device,
         ).reshape(self.num_segments, 2, -1)
@@ -171,6 +179,15 @@ def _equal_boxes(dim: int, count: int) -> tuple[tuple[tuple[float, ...], tuple[f
         ]
 
     return tuple(cut((0.0,) * dim, (1.0,) * dim, count))
+
+
+def _equal_slabs(dim: int, count: int) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+    """Cut the unit cube along its first side into ``count`` boxes ``(lower, upper)``."""
+    rest = max(0, dim - 1)
+    return tuple(
+        ((cell / count, *(0.0,) * rest)[:dim], ((cell + 1) / count, *(1.0,) * rest)[:dim])
+        for cell in range(count)
+    )
 
 
 def _powers(size: int, like: Tensor) -> Tensor:

@@ -65,6 +65,9 @@ def main(cfg: DictConfig) -> None:
         # And to its noise: a learner disturbs whatever it drives.
         wanted = cfg.tracking.rollouts > 0
         tracked = tracking.tracked(cfg, recorded) if wanted else None
+        if tracked is not None and not (run_dir / tracking.FILE).exists():
+            with undisturbed():
+                save_demonstrations(run_dir / tracking.FILE, tracking.shown(tracked), metadata(cfg))
         bulging = tracking.bulging(cfg, recorded) if wanted else None
     with timeit("reward model"):
         snippets = ranking.ranked_snippets(cfg, noisy, others, tracked, bulging)

@@ -22,7 +22,10 @@ from torchrl_morl.evaluation import discrete_frechet, episode_mask
 from torchrl_morl.modules.exploration import HeldEGreedyModule
 
 ACTION_SPEC = Bounded(-1.0, 1.0, (2,))
-_KEPT = ("observation", "action", "goal", "human", "pose", "human_pose")
+INTENDED = "intended_action"
+"""What a driver under noise would have done without it."""
+
+_KEPT = ("observation", "action", INTENDED, "goal", "human", "pose", "human_pose")
 _KEPT_NEXT = (
     "observation",
     "reward",
@@ -75,7 +78,7 @@ def rollouts(
         )
     env.close()
     data.set("mask", episode_mask(data["next", "done"]))
-    return data.select(*_KEPT, "mask", *(("next", key) for key in _KEPT_NEXT))
+    return data.select(*_KEPT, "mask", *(("next", key) for key in _KEPT_NEXT), strict=False)
 
 
 def succeeded(data: TensorDictBase) -> Tensor:

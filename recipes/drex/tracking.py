@@ -24,7 +24,10 @@ from envs.splits import training_seed
 
 from .demonstrations import demonstrator_arguments
 from .recorded import started
-from .rollouts import rollouts, succeeded
+from .rollouts import INTENDED, rollouts, succeeded
+
+FILE = "tracked.safetensors"
+"""What a run calls the drives along demonstrated paths, from which a policy can be cloned."""
 
 _SEED = 60_000
 """Beside the seeds of demonstrations, rollouts and diagnostics."""
@@ -37,6 +40,8 @@ leaves the path by."""
 def disturbed(driver: TensorDictModuleBase, sigma: Tensor, seed: int) -> TensorDictSequential:
     """A driver whose actions in [-1, 1] carry normal noise and stay within those limits.
 
+    What it would have done without noise stands beside, as ``intended_action``.
+
     Args:
         driver: writes ``action`` ``[N, A]``.
         sigma: standard deviations, ``[A]`` or ``[N, A]``.
@@ -44,13 +49,12 @@ def disturbed(driver: TensorDictModuleBase, sigma: Tensor, seed: int) -> TensorD
     """
     generator = torch.Generator().manual_seed(seed)
 
-    def disturb(action: Tensor) -> Tensor:
+    def disturb(action: Tensor) -> tuple[Tensor, Tensor]:
         noise = torch.randn(action.shape, generator=generator)
-        return (action + sigma * noise).clamp(-1.0, 1.0)
+        return (action + sigma * noise).clamp(-1.0, 1.0), action
 
-    return TensorDictSequential(
-        driver, TensorDictModule(disturb, in_keys=["action"], out_keys=["action"])
-    )
+    noisy = TensorDictModule(disturb, in_keys=["action"], out_keys=["action", INTENDED])
+    return TensorDictSequential(driver, noisy)
 
 
 def drawn_sigma(cfg: DictConfig, count: int, generator: torch.Generator) -> Tensor:
@@ -67,6 +71,20 @@ def tracked(cfg: DictConfig, recorded: TensorDictBase | None = None) -> TensorDi
     sigma = drawn_sigma(cfg, len(path), generator)
     data = _drive(cfg, start, path, mask, sigma, cfg.seed + _SEED, arguments)
     return data[succeeded(data)]
+
+
+def shown(tracked: TensorDictBase) -> TensorDictBase:
+    """Drives under noise as demonstrations: states off the path, and the actions that lead back to it.
+
+    After DART (Laskey et al., https://arxiv.org/abs/1703.09327): who clones these stays on the path,
+    where a clone of undisturbed drives never saw what is beside it.
+
+    Args:
+        tracked: of :func:`tracked`.
+    """
+    return tracked.select("observation", "goal", "human", "pose", "human_pose", "mask").set(
+        "action", tracked[INTENDED]
+    )
 
 
 @torch.no_grad()

@@ -15,11 +15,18 @@ from torchrl_morl.preferences import PreferenceSpace
 _BATCH, _LR = 512, 1.0e-3
 
 
+def clones(cfg: DictConfig) -> bool:
+    """Whether a training begins with a clone of demonstrations."""
+    return cfg.demonstrations.dataset is not None and cfg.optim.cloning_updates > 0
+
+
 def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
     """Let an actor imitate the demonstrations, the more the style is preferred; in place.
 
-    The squared error of the action, weighed by the cube of the preference for the style. The rest of
-    the preferences only starts from a policy that drives.
+    The squared error of the action, weighed by the cube of the preference for the style, and the square of
+    the action itself, half the speed straight ahead, weighed by the cube of the rest. Preferences that
+    start in the style are slow to get away from it: whoever is to keep his distance passes as near. And
+    who starts slowly finds wider ways than who starts at full speed.
 
     Args:
         cfg: nothing happens without ``demonstrations.dataset``.
@@ -30,7 +37,7 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
         ValueError: for demonstrations of other observations.
     """
     path, updates = cfg.demonstrations.dataset, cfg.optim.cloning_updates
-    if path is None or updates == 0:
+    if not clones(cfg):
         return
     data, _ = load_demonstrations(path)
     check_observation(cfg, path, data["observation"].shape[-1])
@@ -47,10 +54,14 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
             preference = space.sample(
                 _BATCH, distribution=cfg.preference.distribution, generator=generator
             ).to(task.device)
+            preference[: _BATCH // 2] = space.corners()[demo]
             wanted = batch["action"]
             action = actor(batch.select("observation").set("preference", preference))["action"]
-            error = (action - wanted).square().sum(-1)
-            loss = (preference[..., demo] ** 3 * error).mean()
+            share = preference[..., demo]
+            loss = (
+                share**3 * (action - wanted).square().sum(-1)
+                + (1 - share) ** 3 * action.square().sum(-1)
+            ).mean()
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()

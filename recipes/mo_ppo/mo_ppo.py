@@ -25,7 +25,7 @@ from torchrl_morl.deploy import load_policy
 
 from . import penalties
 from .batches import BATCH, failing, failure_rate
-from .cloning import clone
+from .cloning import clone, clones
 from .networks import make_critic
 from .schema import Config
 from .start import check_start, complete
@@ -60,14 +60,17 @@ def main(cfg: DictConfig) -> None:
     optimizers = make_optimizers(cfg, loss)
     tunable = task.preference_space.tunable
     demo = tunable.index("demo") if "demo" in tunable else None
-    anchored = demo is not None and cfg.loss.anchor_coeff > 0
-    # What it started as: the anchor holds it where the style is preferred.
+    # What it started as, if that is worth keeping: the anchor holds it where the style is preferred.
+    has_style = cfg.policy is not None or clones(cfg)
+    anchored = demo is not None and has_style and cfg.loss.anchor_coeff > 0
     start = copy.deepcopy(actor).requires_grad_(False) if anchored else None
+    # A clone knows the style alone, and that where nothing else is wished.
+    shown = task.preference_space.corners()[demo].to(task.device) if clones(cfg) else None
 
     def prepare(data: TensorDictBase) -> None:
         if start is not None:
             data["start_action"] = penalties.start_action(
-                cfg, start, data, envs_at_once=ENVS_AT_ONCE
+                cfg, start, data, envs_at_once=ENVS_AT_ONCE, preference=shown
             )
         data["fails"] = failing(data)
 

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
+
+from envs import HUMAN_RADIUS
+from torchrl_morl.deploy.features import NUM_SECTORS
+from torchrl_morl.geometry import wrap_angle
+
+MAX_RANGE = 4.0
+"""Of the lidar, metres."""
+
+_MARGIN = 0.1
+"""Radians."""
 
 
 def compute(
@@ -39,17 +51,34 @@ def compute(
         found["standing"] = standing(action)
     if demo is not None:
         # The demonstrated style is a learned reward: see config.yaml.
-        radius = cfg.loss.anchor_radius
-        found["anchor"] = anchor(batch, action, sigma=sigma, objective=demo, radius=radius)
+        found["anchor"] = anchor(
+            batch,
+            action,
+            sigma=sigma,
+            objective=demo,
+            radius=cfg.loss.anchor_radius,
+            clearance=cfg.loss.anchor_clearance,
+        )
     return found
 
 
 @torch.no_grad()
 def start_action(
-    cfg: DictConfig, start: TensorDictSequential, data: TensorDictBase, *, envs_at_once: int
+    cfg: DictConfig,
+    start: TensorDictSequential,
+    data: TensorDictBase,
+    *,
+    envs_at_once: int,
+    preference: Tensor | None = None,
 ) -> Tensor:
-    """What the policy at the start does in ``data`` ``[E, T]``, averaged over time, ``[E, T, A]``."""
-    parts = data.select(*start.in_keys).split(envs_at_once)
+    """What the policy at the start does in ``data`` ``[E, T]``, averaged over time, ``[E, T, A]``.
+
+    With ``preference`` ``[P]`` what it does at that one, and not at those of the data.
+    """
+    inputs = data.select(*start.in_keys)
+    if preference is not None:
+        inputs["preference"] = preference.expand_as(inputs["preference"])
+    parts = inputs.split(envs_at_once)
     return average_over_time(
         torch.cat([start(part)["action"] for part in parts]),
         data["collector", "traj_ids"],
@@ -75,7 +104,13 @@ def average_over_time(action: Tensor, episode: Tensor, *, window: int) -> Tensor
 
 
 def anchor(
-    batch: TensorDictBase, action: Tensor, *, sigma: Tensor, objective: int, radius: float
+    batch: TensorDictBase,
+    action: Tensor,
+    *,
+    sigma: Tensor,
+    objective: int,
+    radius: float,
+    clearance: float = 0.0,
 ) -> Tensor:
     """How far a policy has gone from the one it started as, where an objective matters.
 
@@ -87,7 +122,8 @@ def anchor(
     A mean over the transitions, weighed by the cube of the weight of the objective: it holds a corner
     of the preferences and leaves the middle free. Far from the human it holds nothing: styles differ
     in how a person is passed, and the rest of the way only has to be driven well. Nor does it hold
-    what ends in a failure: the policy at the start may have led there.
+    what ends in a failure: the policy at the start may have led there. Nor where a box is near: what
+    was demonstrated may lead into it.
 
     Args:
         batch: of transitions, with the ``start_action`` of the policy at the start, averaged over time or
@@ -98,11 +134,35 @@ def anchor(
         sigma: standard deviations of both, see :func:`~recipes.mo_ppo.utils.make_policy`.
         objective: the place of the weight in the preference.
         radius: around the human, metres.
+        clearance: from the nearest box, metres; 0 holds beside boxes, too.
     """
     divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
     held = (batch["human"][..., 0] < radius) & ~batch["fails"]
+    if clearance:
+        held = held & (nearest_box(batch["observation"], batch["human"]) >= clearance)
     weight = batch["preference"][..., objective] ** 3 * held
     return (weight * divergence.log1p()).mean()
+
+
+def nearest_box(observation: Tensor, human: Tensor) -> Tensor:
+    """The shortest range of the lidar that is not the human's, metres.
+
+    Args:
+        observation: begins with the sectors of the lidar, ``[*B, D]``, see
+            :func:`~torchrl_morl.deploy.features.policy_transforms`.
+        human: distance (m) and bearing (rad), ``[*B, 2]``.
+
+    Returns:
+        ``[*B]``.
+    """
+    ranges = MAX_RANGE * (3 * observation[..., :NUM_SECTORS]).exp()
+    width = 2 * math.pi / NUM_SECTORS
+    middle = width * (torch.arange(NUM_SECTORS, device=observation.device) + 0.5)
+    distance, bearing = human.unsqueeze(-2).unbind(-1)
+    # Sectors that the human reaches into. A lidar ahead of the robot's centre sees them elsewhere.
+    seen = (HUMAN_RADIUS / distance).clamp_max(1.0).asin() + width / 2 + _MARGIN
+    is_human = wrap_angle(middle - bearing).abs() < seen
+    return ranges.masked_fill(is_human, torch.inf).amin(-1)
 
 
 def smoothness(batch: TensorDictBase, action: Tensor, actor: TensorDictSequential) -> Tensor:

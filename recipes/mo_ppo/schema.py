@@ -146,6 +146,9 @@ class Loss(Section):
 
     gamma: Discount = Field(description="Discount of a step of 0.2 s.")
     lmbda: Share = Field(description="Lambda of generalized advantage estimation.")
+    final_lmbda: Share | None = Field(
+        description="The same at the end, linearly between them; null is no change."
+    )
     level_preferences: bool = Field(
         description="Whether advantages are divided by their usual size at a preference."
     )
@@ -160,6 +163,9 @@ class Loss(Section):
     )
     anchor_radius: NotNegative = Field(
         description="Distance from the human within which that is held, metres."
+    )
+    anchor_clearance: NotNegative = Field(
+        description="Range to the nearest box below which that is not held, metres; 0 holds everywhere."
     )
     anchor_window: Annotated[int, Allows("an odd whole number at least 1")] = Field(
         description="Steps over which the actions of the policy at the start are averaged, odd."

@@ -2,10 +2,31 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from recipes.training import schema
-from recipes.training.fields import Decay
+from recipes.training.fields import CountOrNone, Decay
+
+
+class Preference(schema.Preference):
+    """With the forms of PD-MORL's code."""
+
+    slabs: bool = Field(
+        description="Whether those parts are slabs of the first weight, as in PD-MORL's code."
+    )
+    relabel_copies: CountOrNone = Field(
+        description="Copies with other preferences that the buffer keeps of a transition, as in "
+        "PD-MORL's code; 0 relabels at sample time."
+    )
+
+    @model_validator(mode="after")
+    def _relabels_once(self) -> Preference:
+        if self.relabel_copies and self.relabel_ratio:
+            raise ValueError(
+                "preference.relabel_ratio must be 0 with preference.relabel_copies, which relabel "
+                f"what is stored, got {self.relabel_ratio} and {self.relabel_copies}."
+            )
+        return self
 
 
 class Network(schema.Network):
@@ -28,6 +49,7 @@ class Config(schema.OffPolicy):
     """PD-MORL."""
 
     compute: schema.CompiledCompute
+    preference: Preference
     collector: schema.NoisyCollector
     network: Network
     loss: schema.AngleLoss

@@ -1,4 +1,4 @@
-"""Optimizers of MO-PPO, and the schedules of the learning rate and of the noise."""
+"""Optimizers of MO-PPO, and the schedules of the learning rate, of the noise and of lambda."""
 
 from __future__ import annotations
 
@@ -53,5 +53,17 @@ def noise(cfg: DictConfig, frames: int) -> torch.Tensor:
         torch.as_tensor(OmegaConf.to_container(cfg.collector)[name], dtype=torch.float32)
         for name in ("exploration_sigma", "final_exploration_sigma")
     )
-    share = min(1.0, frames / cfg.collector.total_frames)
-    return first * (last / first) ** share
+    return first * (last / first) ** _share(cfg, frames)
+
+
+def lmbda(cfg: DictConfig, frames: int) -> float:
+    """Lambda of the advantages after so many frames: it goes linearly to the final one."""
+    first, last = cfg.loss.lmbda, cfg.loss.final_lmbda
+    if last is None:
+        return first
+    return first + (last - first) * _share(cfg, frames)
+
+
+def _share(cfg: DictConfig, frames: int) -> float:
+    """Of the training, that is over."""
+    return min(1.0, frames / cfg.collector.total_frames)

@@ -8,7 +8,8 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import Compose, RewardScaling
 
 from torchrl_morl.data import load_demonstrations
-from torchrl_morl.transforms import PreferenceRelabel, RewardModelReward
+from torchrl_morl.preferences import PreferenceSpace
+from torchrl_morl.transforms import PreferenceExpand, PreferenceRelabel, RewardModelReward
 
 from .evaluation import Problem
 from .task import Task, check_observation
@@ -35,17 +36,23 @@ def make_replay_buffer(cfg: DictConfig, task: Problem) -> TensorDictReplayBuffer
         batch_size=cfg.optim.updates_per_batch * cfg.replay_buffer.batch_size,
         transform=Compose(
             RewardScaling(0.0, cfg.replay_buffer.reward_scale, in_keys=[("next", "reward")]),
-            PreferenceRelabel(
-                task.preference_space,
-                ratio=cfg.preference.relabel_ratio,
-                distribution=cfg.preference.relabel_distribution,
-                seed=cfg.seed,
-            ),
+            make_relabel(cfg, task.preference_space),
         ),
     )
     if OmegaConf.select(cfg, "demonstrations.dataset"):  # of navigation alone
         prefill(cfg, task, replay_buffer)
     return replay_buffer
+
+
+def make_relabel(
+    cfg: DictConfig, preference_space: PreferenceSpace
+) -> PreferenceRelabel | PreferenceExpand:
+    """Hindsight: in what is sampled, or, as in PD-MORL's code, in copies of what is stored."""
+    section = cfg.preference
+    drawn = {"distribution": section.relabel_distribution, "seed": cfg.seed}
+    if copies := section.get("relabel_copies", 0):
+        return PreferenceExpand(preference_space, copies, **drawn)
+    return PreferenceRelabel(preference_space, ratio=section.relabel_ratio, **drawn)
 
 
 def prefill(cfg: DictConfig, task: Task, replay_buffer: TensorDictReplayBuffer) -> None:

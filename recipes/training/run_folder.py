@@ -208,6 +208,17 @@ def score(policy: Path) -> float:
 
 def final_policy(run_dir: Path) -> Path:
     """The policy with the best score among those saved in the last fifth of the training."""
+    policies = _saved(run_dir)
+    late = policies[-max(1, len(policies) // 5) :]
+    return max(late, key=score)
+
+
+def last_policy(run_dir: Path) -> Path:
+    """The policy at the end of the training, as the paper takes it."""
+    return _saved(run_dir)[-1]
+
+
+def _saved(run_dir: Path) -> list[Path]:
     policies = sorted((run_dir / "policies").glob("[!.]*"))
     if not policies:
         sys.exit(
@@ -215,5 +226,4 @@ def final_policy(run_dir: Path) -> Path:
             "It must last longer than collector.init_random_frames steps: raise "
             "--pd-morl collector.total_frames=..."
         )
-    late = policies[-max(1, len(policies) // 5) :]
-    return max(late, key=score)
+    return policies

@@ -139,6 +139,7 @@ def make_train_env(
         preference_space,
         distribution=cfg.preference.distribution,
         num_segments=cfg.preference.num_segments,
+        slabs=cfg.preference.get("slabs", False),
         seed=cfg.seed,
     )
     # Never the scenes of an evaluation.

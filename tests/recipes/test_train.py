@@ -34,6 +34,11 @@ def test_final_policy_is_the_best_of_the_last_fifth(scores, best, tmp_path):
     assert recipes.train.final_policy(tmp_path).name == f"{best * 1000:09d}"
 
 
+def test_the_last_policy_is_that_of_the_end(tmp_path):
+    save_scores(tmp_path, [9, 9, 9, 9, 9, 9, 9, 9, 2, 1])
+    assert recipes.train.last_policy(tmp_path).name == "000010000"
+
+
 def test_a_policy_that_was_never_finished_is_none(tmp_path):
     save_scores(tmp_path, [1, 2])
     (tmp_path / "policies" / ".000003000.1a2b3c").mkdir()

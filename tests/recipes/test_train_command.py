@@ -66,8 +66,20 @@ def train(*arguments: object) -> int | str:
         (["--pd-morl", "demonstrations.dataset=x.safetensors"], "there is no such file."),
         (
             ["--pd-morl", "env.observe_human=false"],
-            "env.observe_human must be the same for --drex and",
+            "env.observe_human must be the same for --drex and --pd-morl, got True and False.",
         ),
+        (
+            ["--without-pd-morl", "--drex", "env.observe_human=false"],
+            "env.observe_human must be the same for --drex and --mo-ppo, got False and True.",
+        ),
+        (
+            ["--without-pd-morl", "--pd-morl", "seed=1"],
+            "--pd-morl needs PD-MORL: leave it out, or --without-pd-morl.",
+        ),
+        (["--without-pd-morl", "--without-mo-ppo"], "--without-mo-ppo needs PD-MORL"),
+        (["--without-pd-morl", "--paper"], "--paper needs PD-MORL"),
+        (["--mo-ppo", "preset=fast"], "--mo-ppo: In 'config': Could not find 'preset/fast'"),
+        (["--without-pd-morl", "--mo-ppo", "preset=quick"], "--mo-ppo: "),
         (
             ["--pd-morl", "hydra.run.dir=x"],
             "--pd-morl hydra.run.dir=x: the stages run in the folder of --output, leave it out.",
@@ -95,6 +107,57 @@ def test_a_mistake_is_one_line_before_the_first_stage(arguments, message, stages
     assert line.startswith("train.py: error: ") and message in line
     assert stages == []
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_training_needs_no_pd_morl(stages, tmp_path):
+    output = tmp_path / "run"
+    given = ("--without-pd-morl", "--drex", "seed=2", "--mo-ppo", "seed=3")
+    assert train("--output", output, *given) == 0
+    assert [name for name, _ in stages] == ["D-REX", "MO-PPO", "evaluation"]
+    drex, ppo, evaluation = (command for _, command in stages)
+    # R and the drives that are cloned are of one run, whose presets are the ones that fit.
+    assert "preset=tracked" in drex and drex[-1] == "seed=2"
+    assert {
+        "preset=nothing",
+        f"demonstrations.reward_model={output}/drex/reward_model",
+        f"demonstrations.dataset={output}/drex/tracked.safetensors",
+        "seed=3",
+    } <= set(ppo)
+    assert not any(one.startswith("policy=") for one in ppo)
+    assert f"{output}/mo_ppo/policies/000000001" in evaluation
+
+
+@pytest.mark.parametrize(
+    ("options", "names"),
+    [
+        ([], ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]),
+        (["--pd-morl", "seed=1"], ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]),
+        (["--without-mo-ppo"], ["D-REX", "PD-MORL", "evaluation"]),
+        (["--without-pd-morl", "--drex", "preset=quick"], ["D-REX", "MO-PPO", "evaluation"]),
+    ],
+)
+def test_the_stages_are_those_that_are_asked_for(options, names, stages, tmp_path):
+    assert train("--output", tmp_path / "run", *options) == 0
+    assert [name for name, _ in stages] == names
+    assert "preset=tracked" not in stages[0][1]
+
+
+def test_the_paper_is_one_flag(stages, tmp_path):
+    """No MO-PPO, demonstrations through the reward model alone."""
+    output = tmp_path / "run"
+    assert train("--output", output, "--paper", "--pd-morl", "seed=1") == 0
+    assert [name for name, _ in stages] == ["D-REX", "PD-MORL", "evaluation"]
+    drex, morl, evaluation = (command for _, command in stages)
+    assert "preset=paper" in drex and {"preset=paper", "seed=1"} <= set(morl)
+    assert not any("dataset" in one for one in morl)
+    assert f"{output}/pd_morl/policies/000000001" in evaluation
+
+
+def test_a_record_of_before_goes_on_with_pd_morl(stages, tmp_path):
+    options = {"drex": [], "pd_morl": [], "mo_ppo": [], "without_mo_ppo": False, "episodes": 1}
+    Record(tmp_path, options).save()
+    assert train("--resume", tmp_path) == 0
+    assert [name for name, _ in stages] == ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]
 
 
 def test_a_training_records_what_is_finished(stages, tmp_path):

@@ -204,6 +204,26 @@ class TestGrids:
 
 
 class TestSegments:
+    def test_slabs_rise_with_the_first_entry(self):
+        """Thirds of the uniform law on the triangle: the first entry is below 1 - sqrt(1 - k / 3)."""
+        segments = PreferenceSegments(PAPER, 3, slabs=True)
+        edges = [1 - (1 - share) ** 0.5 for share in (0.0, 1 / 3, 2 / 3, 1.0)]
+        for cell in range(3):
+            drawn = segments.sample(torch.full((2000,), cell), "dirichlet", generator())
+            assert drawn[:, 0].min() >= edges[cell] - 1e-6
+            assert drawn[:, 0].max() <= edges[cell + 1] + 1e-6
+            assert (segments.index(drawn) == cell).all()
+            # The second takes any share of the rest.
+            share = drawn[:, 1] / (1 - drawn[:, 0])
+            assert share.mean().item() == pytest.approx(0.5, abs=0.03)
+        at = torch.tensor([[0.0, 1.0, 0.0], [0.3, 0.0, 0.7], [1.0, 0.0, 0.0]])
+        assert segments.index(at).tolist() == [0, 1, 2]
+
+    def test_slabs_of_two_objectives_are_the_cells(self):
+        value = tunable_space(2).sample(100, "dirichlet", generator())
+        cells, slabs = (PreferenceSegments(tunable_space(2), 4, slabs) for slabs in (False, True))
+        assert torch.equal(cells.index(value), slabs.index(value))
+
     @pytest.mark.parametrize("size", [2, 3, 4, 6])
     @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 10])
     def test_balance(self, size, count):

@@ -102,6 +102,7 @@ class PreferenceSampler(_RandomPreferences):
         num_segments (int, optional): the environment of index ``i`` in the flattened batch draws
             from cell ``i % num_segments`` of :class:`~torchrl_morl.segments.PreferenceSegments`,
             as in PD-MORL (https://arxiv.org/abs/2208.07914). Defaults to the whole simplex.
+        slabs (bool): those cells are slabs of the first entry, as in PD-MORL's code.
         preference_key (NestedKey): where to write preferences, of shape ``[*B, T]``.
         reset_key (NestedKey, optional): the reset mask. Only environments that reset themselves and
             have several masks need it; others may leave it out.
@@ -135,6 +136,7 @@ class PreferenceSampler(_RandomPreferences):
         *,
         distribution: SamplingDistribution = "dirichlet",
         num_segments: int | None = None,
+        slabs: bool = False,
         preference_key: NestedKey = "preference",
         reset_key: NestedKey | None = None,
         seed: int | None = None,
@@ -145,7 +147,7 @@ class PreferenceSampler(_RandomPreferences):
         self.segments = None
         if num_segments is not None:
             check_count("num_segments", num_segments)
-            self.segments = PreferenceSegments(preference_space, num_segments)
+            self.segments = PreferenceSegments(preference_space, num_segments, slabs)
         self.preference_key = unravel_key(preference_key)
         self.reset_key = None if reset_key is None else unravel_key(reset_key)
         self.register_buffer("preferences", None)

@@ -83,6 +83,17 @@ def test_run_leaves_demonstrations_a_reward_model_and_pictures(distilled):
     assert card["demonstrator"] == demonstrator
 
 
+def test_run_leaves_what_a_policy_is_cloned_from(distilled):
+    """Drives along demonstrated paths, whose actions lead back to them."""
+    data, metadata = load_demonstrations(distilled / "tracked.safetensors")
+    assert data["observation"].shape[-1] == OBSERVATION_SIZE
+    actions = data["action"][data["mask"]]
+    assert actions.shape[-1] == 2 and actions.abs().max() <= 1
+    assert metadata["demonstrator"]["radius"] == 1.0
+    nearest = data["human"][..., 0].masked_fill(~data["mask"], 9.0).amin(-1)
+    assert (nearest > 0.8).all() and (nearest < 1.1).all()
+
+
 def test_card_holds_the_gates(distilled):
     _, card = load_reward_model(distilled / "reward_model")
     assert card["config"]["reward_model"]["num_cells"] == [16]

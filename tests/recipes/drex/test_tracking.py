@@ -59,6 +59,23 @@ def test_drives_along_what_was_demonstrated(driven):
     assert not torch.equal(tracked["action"][0], tracked["action"][1])
 
 
+def test_shows_what_leads_back_to_the_path(driven):
+    """Pure pursuit turns smoothly: what it intended is steadier than what noise made of it."""
+    _, _, tracked, _ = driven
+    shown = tracking.shown(tracked)
+    mask = shown["mask"]
+    assert_close(shown["observation"], tracked["observation"])
+    change, noisy = (
+        (data["action"][:, 1:, 1] - data["action"][:, :-1, 1])[mask[:, 1:]].abs().median()
+        for data in (shown, tracked)
+    )
+    assert change < noisy
+    gap = (shown["action"] - tracked["action"])[mask]
+    assert gap.abs().max() > 0.1
+    assert gap[..., 1].mean().abs() < 0.02
+    assert "next" not in shown.keys()
+
+
 def test_bulges_start_where_the_path_is_left(driven):
     _, _, tracked, bulging = driven
     focused = bulging["near"] & bulging["mask"]

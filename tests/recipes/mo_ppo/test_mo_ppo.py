@@ -19,7 +19,7 @@ from envs import NavigationEnv
 from recipes.mo_ppo import mo_ppo
 from recipes.training import on_policy
 from recipes.training.checkpoint import SafeStateAdapter
-from recipes.training.ppo_optimizers import make_schedule, noise
+from recipes.training.ppo_optimizers import lmbda, make_schedule, noise
 from tests._command import run_here
 from torchrl_morl import PreferenceSpace
 from torchrl_morl.data import save_demonstrations
@@ -399,6 +399,8 @@ def test_the_rate_falls_over_all_frames_of_a_training():
         ("collector.exploration_sigma=[0.05,0]", "exploration_sigma must be positive"),
         ("loss.anchor_coeff=-1", "anchor_coeff must not be negative"),
         ("loss.anchor_radius=-1", "anchor_radius must not be negative"),
+        ("loss.anchor_clearance=-1", "anchor_clearance must not be negative"),
+        ("loss.final_lmbda=1.1", "final_lmbda must be in"),
         ("loss.anchor_window=4", "anchor_window must be an odd number of steps, .* got 4"),
         ("loss.anchor_window=-1", "anchor_window must be an odd number of steps, .* got -1"),
         ("loss.smoothness_coeff=-1", "smoothness_coeff must not be negative"),
@@ -477,9 +479,10 @@ def test_learns_without_a_policy(tmp_path):
     policy = load_policy(folder / "policies" / "000000128")
     assert policy.preference_space == SPACE
     assert "start" not in policy.card
-    # Null is what PD-MORL trains in.
     config = policy.card["config"]
-    assert (config["env"]["scene"], config["evaluation"]["scene"]) == ("exploring", "static")
+    assert (config["env"]["scene"], config["evaluation"]["scene"]) == ("static", "static")
+    # Null is what PD-MORL trains with.
+    assert (config["env"]["goal_radius"], config["env"]["max_episode_steps"]) == (0.3, 300)
     again = nothing(tmp_path / "again")
     name = "policies/000000128/policy.safetensors"
     assert (again / name).read_bytes() == (folder / name).read_bytes()
@@ -516,7 +519,7 @@ def demonstrated(tmp_path) -> tuple[str, str]:
 
 def test_clones_demonstrations_first(tmp_path, demonstrated):
     """The actor waits for the critic: what is saved is the clone."""
-    errors = []
+    errors, elsewhere = [], []
     for updates in (0, 300):
         folder = nothing(
             tmp_path / str(updates),
@@ -533,7 +536,11 @@ def test_clones_demonstrations_first(tmp_path, demonstrated):
         )
         action = policy.actor(inputs)["action"]
         errors.append((action - torch.tensor([0.5, -0.25])).square().mean().item())
+        inputs["preference"] = (1 - corner).div(2).expand(50, -1)
+        elsewhere.append(policy.actor(inputs)["action"].square().mean().item())
     assert errors[1] < 0.02 < errors[0]
+    # Where the style is not wished nothing is imitated.
+    assert max(elsewhere) < 0.03
 
 
 def test_the_noise_falls_geometrically():
@@ -550,6 +557,26 @@ def test_the_noise_falls_geometrically():
     torch.testing.assert_close(noise(cfg, 50), torch.tensor([0.1, 0.2]))
     torch.testing.assert_close(noise(cfg, 100), torch.tensor([0.05, 0.1]))
     torch.testing.assert_close(noise(cfg, 150), torch.tensor([0.05, 0.1]))
+
+
+def test_lambda_goes_linearly_to_its_last_value():
+    cfg = OmegaConf.create(
+        {
+            "loss": {"lmbda": 0.9, "final_lmbda": 0.7},
+            "collector": {"total_frames": 100},
+        }
+    )
+    assert [round(lmbda(cfg, frames), 6) for frames in (0, 50, 100, 150)] == [0.9, 0.8, 0.7, 0.7]
+    cfg.loss.final_lmbda = None
+    assert lmbda(cfg, 100) == 0.9
+
+
+@pytest.mark.parametrize(("updates", "anchored"), [(1, True), (0, False)])
+def test_a_clone_is_an_anchor_and_what_has_learned_nothing_is_none(
+    updates, anchored, tmp_path, demonstrated
+):
+    folder = nothing(tmp_path / "run", *demonstrated, f"optim.cloning_updates={updates}")
+    assert (folder / "log_csv/scalars/train/anchor.csv").exists() == anchored
 
 
 def test_refuses_demonstrations_without_their_objective(tmp_path, demonstrated):

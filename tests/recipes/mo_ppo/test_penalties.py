@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 
 import torch
+from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torchrl.data import Bounded
 
 from recipes.mo_ppo import penalties
 from torchrl_morl.modules import make_actor
+from torchrl_morl.transforms import LogRange
 
 
 def test_anchor_by_hand():
@@ -39,6 +41,66 @@ def test_anchor_by_hand():
         batch, 10 * action - 9 * batch["start_action"], sigma=sigma, objective=0, radius=2.5
     )
     torch.testing.assert_close(far / distance, torch.tensor(math.log(201) / math.log(3)))
+
+
+def in_front(*ranges: float) -> torch.Tensor:
+    """Observations with a lidar that sees something straight ahead, behind, and to the left."""
+    lidar = torch.full((len(ranges), 30), 4.0)
+    for row, near in enumerate(ranges):
+        lidar[row, (0, 15, 7)[row]] = near
+    return torch.cat((LogRange(4.0)(lidar), torch.zeros(len(ranges), 6)), dim=-1)
+
+
+def test_the_nearest_box_is_not_the_human():
+    observation = in_front(0.5, 0.6, 0.7)
+    far = torch.tensor([[3.0, 1.0]]).expand(3, 2)
+    found = penalties.nearest_box(observation, far)
+    torch.testing.assert_close(found, torch.tensor([0.5, 0.6, 0.7]))
+    # Who stands ahead, behind and to the left is what the lidar sees there; no box is near.
+    people = torch.tensor([[0.75, 0.0], [0.85, math.pi], [0.95, math.pi / 2]])
+    torch.testing.assert_close(penalties.nearest_box(observation, people), torch.full((3,), 4.0))
+    # A box to the left of them is one, on whatever side of the first ray it lies.
+    beside = observation.clone()
+    beside[:, [3, 12, 10]] = LogRange(4.0)(torch.tensor([0.8, 0.8, 0.8]))
+    torch.testing.assert_close(penalties.nearest_box(beside, people), torch.full((3,), 0.8))
+
+
+def test_anchor_lets_go_beside_a_box():
+    batch = TensorDict(
+        observation=in_front(0.5, 0.8),
+        preference=torch.tensor([[1.0, 0.0], [1.0, 0.0]]),
+        human=torch.tensor([[3.0, 1.0], [3.0, 1.0]]),
+        fails=torch.tensor([False, False]),
+        start_action=torch.zeros(2, 2),
+        batch_size=[2],
+    )
+    sigma, action = torch.tensor([0.1, 0.1]), torch.tensor([[0.0, 0.2], [0.0, 0.2]])
+
+    def cost(clearance: float) -> torch.Tensor:
+        return penalties.anchor(
+            batch, action, sigma=sigma, objective=0, radius=9.0, clearance=clearance
+        )
+
+    for clearance, held in ((0.0, 2), (0.6, 1), (0.9, 0)):
+        torch.testing.assert_close(cost(clearance), torch.tensor(math.log(3) * held / 2))
+
+
+def test_what_a_clone_would_do_is_asked_at_one_preference():
+    """A clone knows the style at its corner alone, whatever an episode prefers."""
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=1 + 2, num_cells=())
+    with torch.no_grad():  # the first weight is the action
+        actor[0].module[-1].weight.copy_(torch.tensor([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]))
+    data = TensorDict(
+        observation=torch.zeros(2, 3, 1),
+        preference=torch.tensor([0.5, 0.5]).expand(2, 3, 2),
+        collector=TensorDict(traj_ids=torch.tensor([[0, 0, 0], [1, 1, 1]]), batch_size=[2, 3]),
+        batch_size=[2, 3],
+    )
+    cfg = OmegaConf.create({"loss": {"anchor_window": 1}})
+    for preference, first in ((None, 0.5), (torch.tensor([1.0, 0.0]), 1.0)):
+        action = penalties.start_action(cfg, actor, data, envs_at_once=1, preference=preference)
+        torch.testing.assert_close(action, torch.full((2, 3, 2), first).tanh())
+    assert (data["preference"] == 0.5).all()
 
 
 def test_averages_over_the_steps_of_an_episode():
