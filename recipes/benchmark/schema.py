@@ -168,6 +168,11 @@ class Collector(Section):
     final_exploration_sigma: Positive = Field(
         description="The same at the end; between them it falls geometrically."
     )
+    exploration_share: float = Field(
+        gt=0,
+        le=1,
+        description="Share of the training after which noise and lambda are the final ones.",
+    )
 
 
 class ReplayBuffer(Section):
@@ -181,6 +186,9 @@ class Loss(Section):
 
     gamma: Discount = Field(description="Discount of a step.")
     lmbda: Share = Field(description="Lambda of generalized advantage estimation.")
+    final_lmbda: Share | None = Field(
+        description="The same at the end, between them it changes linearly; null: it stays."
+    )
     level_preferences: bool = Field(
         description="Whether advantages are divided by their usual size at a preference."
     )

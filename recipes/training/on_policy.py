@@ -25,7 +25,7 @@ from .checkpoint import Checkpoints, CollectorState, Counters, check_frames_left
 from .evaluation import Evaluation, Problem
 from .gradients import use_bfloat16
 from .optimizers import step
-from .ppo_optimizers import make_schedule, noise
+from .ppo_optimizers import lmbda, make_schedule, noise
 from .run_folder import write_run_info
 
 
@@ -118,7 +118,7 @@ def train(
         progress.update(data.numel())
         # The critic starts from nothing: the actor waits until it has learned the values.
         trains_actor = batches >= cfg.optim.critic_batches
-        advantage.lmbda.fill_(cfg.loss.lmbda if trains_actor else 1.0)
+        advantage.lmbda.fill_(lmbda(cfg, collected) if trains_actor else 1.0)
         with timeit("advantage"):
             advantage(data)
             if prepare is not None:

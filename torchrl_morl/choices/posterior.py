@@ -207,7 +207,7 @@ class PreferencePosterior:
             context: may be left out if there is one.
 
         Returns:
-            ``[*B, 4]``, in the order of :data:`~torchrl_morl.choices.ANSWERS`.
+            ``[*B, 4]``, in the order of ``torchrl_morl.choices.ANSWERS``.
 
         Example:
             >>> posterior = PreferencePosterior(("distance", "efficiency"))

@@ -169,7 +169,7 @@ def test_missing_files_and_other_types(write, tmp_path):
         read_recordings(write(TEXT), tmp_path / "none.csv")
     with pytest.raises(FileNotFoundError, match="is a folder, not a file"):
         read_recordings(tmp_path)
-    with pytest.raises(ValueError, match=r"a \.csv or an \.npz file, got '\.txt'"):
+    with pytest.raises(ValueError, match=r"a \.csv or an \.npz file or a ROS bag, got '\.txt'"):
         read_recordings(write(TEXT, "drives.txt"))
 
 
