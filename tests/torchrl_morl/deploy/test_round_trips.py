@@ -186,7 +186,7 @@ def test_a_loaded_actor_can_be_exported(tmp_path):
 
 
 def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
-    write, written = files_module._write, []
+    write, written = files_module.write_new, []
 
     def full_disk(path, data):
         if written:
@@ -194,7 +194,7 @@ def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
         written.append(path)
         write(path, data)
 
-    monkeypatch.setattr(files_module, "_write", full_disk)
+    monkeypatch.setattr(files_module, "write_new", full_disk)
     with pytest.raises(OSError, match="No space left"):
         save(tmp_path / "policies" / "000000960", make())
     assert written and not written[0].exists()
