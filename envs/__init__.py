@@ -1,6 +1,7 @@
 """Simulation: batched MuJoCo environments, the navigation task, its scenes and robots."""
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
+from .catalogue import EVERYDAY, SCENES
 from .faults import Faults
 from .navigation import NavigationEnv
 from .objectives import OBJECTIVES, RewardConstants
@@ -14,7 +15,6 @@ from .scenes import (
     HUMAN_RADIUS,
     MIXED,
     MOVING_HUMAN,
-    SCENES,
     SHOWCASE,
     STATIC,
     Scene,
@@ -23,6 +23,7 @@ from .scenes import (
 __all__ = [
     "CORRIDOR",
     "EMPTY",
+    "EVERYDAY",
     "EXPLORING",
     "HSR",
     "HUMAN_RADIUS",

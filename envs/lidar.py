@@ -63,12 +63,12 @@ class Lidar:
         """Ranges of the rays in view, metres.
 
         Args:
-            seen: goal, human and boxes from the robots, ``[2, 2 + B, n]``: metres ahead of their
-                centres, and to their left. Rays pass through the goal.
+            seen: goal, people and boxes from the robots, ``[2, 1 + P + B, n]``: metres ahead of
+                their centres, and to their left. Rays pass through the goal.
             cos: of the robots' headings, ``[n]``.
             sin: of the robots' headings, ``[n]``.
             boxes: of all ``N`` environments, ``[N, B, 5]``: x, y, heading, half length, half width.
-            radius: of circles around human and boxes, ``[1 + B, N]``, metres.
+            radius: of circles around people and boxes, ``[P + B, N]``, metres.
             ids: which environments the ``n`` robots are in; ``None`` for all.
 
         Returns:
@@ -141,21 +141,27 @@ def _rays_between_tangents(x, y, radius, max_range, num_rays):
 def _cast(ranges, seen, cos, sin, rows, boxes, radius, rays, offset):
     """Lower ``ranges`` [n, rays], full of the largest one, to what the rays meet."""
     num_rays = len(rays)
+    people = seen.shape[1] - 1 - boxes.shape[1]
     for robot in range(len(rows)):
         row, scan, max_range = rows[robot], ranges[robot], ranges[robot, 0]
-        x, y, circle = seen[0, 1, robot] - offset, seen[1, 1, robot], radius[0, row]
-        first, last = _rays_between_tangents(x, y, circle + _MARGIN, max_range, num_rays)
-        for index in range(first, last + 1):
-            ray = index % num_rays
-            near = _circle_range(x, y, rays[ray, 0], rays[ray, 1], circle)
-            scan[ray] = max(min(near, scan[ray]), MIN_RANGE)
+        for item in range(people):
+            x, y, circle = (
+                seen[0, 1 + item, robot] - offset,
+                seen[1, 1 + item, robot],
+                radius[item, row],
+            )
+            first, last = _rays_between_tangents(x, y, circle + _MARGIN, max_range, num_rays)
+            for index in range(first, last + 1):
+                ray = index % num_rays
+                near = _circle_range(x, y, rays[ray, 0], rays[ray, 1], circle)
+                scan[ray] = max(min(near, scan[ray]), MIN_RANGE)
         for item in range(boxes.shape[1]):
             x, y, box = (
-                seen[0, 2 + item, robot] - offset,
-                seen[1, 2 + item, robot],
+                seen[0, 1 + people + item, robot] - offset,
+                seen[1, 1 + people + item, robot],
                 boxes[row, item],
             )
-            around = radius[1 + item, row] + _MARGIN
+            around = radius[people + item, row] + _MARGIN
             first, last = _rays_between_tangents(x, y, around, max_range, num_rays)
             # The turn from the robot's frame into that of the box.
             c, s = math.cos(box[2]), math.sin(box[2])

@@ -23,18 +23,20 @@ from .batched_mujoco import BatchedMujocoEnv, PhysicsState
 from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl, yaw_quaternion
 from .faults import Faults, get_faults
 from .fields import shown
-from .geometry import arctan2, cos_sin
-from .lidar import MIN_RANGE, Lidar
+from .geometry import cos_sin
+from .lidar import Lidar
 from .mjcf import Drive, navigation_mjcf, time_step
 from .navigation_specs import observation_spec, snapshot_specs
 from .navigation_task import PAPER_OBJECTIVES, NavigationTask
 from .objectives import RewardConstants, check_objectives, get_rewards
+from .perception import Perception
 from .rendering import Camera
 from .robots import Robot, get_robot
 from .scene_files import get_scene
 from .scene_stream import SceneStream
 from .scenes import Scene
-from .views import chase_view, top_view
+from .substeps import Substeps, mocap_people
+from .views import chase_view, episode_view
 
 
 class NavigationEnv(BatchedMujocoEnv):
@@ -155,6 +157,13 @@ class NavigationEnv(BatchedMujocoEnv):
             max_range=max_range,
             dtype=np.float64 if self.faults.disturb_scans else self._array_dtype,
         )
+        self._perception = Perception(
+            self._lidar,
+            self.faults,
+            self._fault_rng,
+            may_be_absent=self.scene.num_people is not None,
+            dtype=self.dtype,
+        )
 
     # --- model and specs -----------------------------------------------------------------------
 
@@ -166,14 +175,22 @@ class NavigationEnv(BatchedMujocoEnv):
             repeat_failed=self.repeat_failed,
             goal_radius=self.goal_radius,
         )
+        people = self.scene.num_people or 1
         xml = navigation_mjcf(
             self.robot,
             drive=self.drive,
             num_boxes=self.scene.num_boxes,
+            num_people=people,
             goal_radius=self.goal_radius,
         )
         model = mujoco.MjModel.from_xml_string(xml)
-        self._mocap_human = int(model.body("human").mocapid[0])
+        self._substeps = Substeps(
+            frame_skip=self.frame_skip,
+            period=self.CONTROL_PERIOD,
+            human_speed=self.scene.human_speed,
+            robot_speed=self.robot.max_speed,
+            mocap_people=mocap_people(model, people),
+        )
         self._mocap_goal = int(model.body("goal").mocapid[0])
         boxes = [f"box{i}" for i in range(self.scene.num_boxes)]
         self._mocap_boxes = [int(model.body(name).mocapid[0]) for name in boxes]
@@ -223,19 +240,28 @@ class NavigationEnv(BatchedMujocoEnv):
 
     def _make_obs_spec(self) -> Composite:
         n = self.num_envs
-        spec = observation_spec(n, self.num_rays, self.max_range, self.dtype)
+        spec = observation_spec(
+            n, self.num_rays, self.max_range, self.dtype, invalid_rays=self.faults.code_beams
+        )
         if self.snapshots:
-            spec.update(snapshot_specs(n, self.scene.num_boxes, self.faults))
+            spec.update(snapshot_specs(n, self.scene, self.faults))
         self._task = NavigationTask(
             n,
             self.scene.num_boxes,
+            num_people=self.scene.num_people or 1,
             robot_radius=self.robot.radius,
             goal_radius=self.goal_radius,
             objectives=self.objectives,
             rewards=self.rewards,
         )
-        self._pending = torch.zeros(n, 2, dtype=torch.float64)
+        self._task.people[..., 5] = self.scene.human_speed
+        self._pending = torch.zeros(n, self.faults.memory, 2, dtype=torch.float64)
         self._faults = self.faults.draw(n, torch.Generator())
+        self._scene_keys = (
+            "goal",
+            "human_goal" if self.scene.num_people is None else "people",
+            "boxes",
+        )
         # Where robot and human were at the start: pictures show it.
         self._began = np.zeros((n, 2, 2))
         return spec
@@ -255,9 +281,12 @@ class NavigationEnv(BatchedMujocoEnv):
         flags, elapsed = self._task.flags[rows], self._elapsed.numpy()[rows, 0]
         failed = (flags.any(1) | (elapsed >= self.max_episode_steps)) & ~flags[:, 0]
         sampled = self._scenes.deal(rows, failed, self.rng)
-        self._task.human_pose[rows] = sampled["human"]
         self._task.goal[rows] = sampled["goal"]
-        self._task.human_goal[rows] = sampled["human_goal"]
+        if "people" in sampled:
+            self._task.people[rows] = sampled["people"]
+        else:
+            self._task.human_pose[rows] = sampled["human"]
+            self._task.human_goal[rows] = sampled["human_goal"]
         self._task.boxes[rows] = sampled["boxes"]
         self._pending.numpy()[rows] = 0.0
         if self.faults.is_random:
@@ -269,11 +298,14 @@ class NavigationEnv(BatchedMujocoEnv):
         super()._load_snapshot(ids, tensordict)
         rows = ids.numpy()
         self._scenes.forget(rows)
-        self._task.human_pose[rows] = tensordict.get("human_pose").cpu().numpy()[rows]
-        for key in ("goal", "human_goal", "boxes"):
+        # Of several, the poses of all are among the people.
+        if self.scene.num_people is None:
+            self._task.human_pose[rows] = tensordict.get("human_pose").cpu().numpy()[rows]
+        for key in self._scene_keys:
             getattr(self._task, key)[rows] = tensordict.get(("scene", key)).cpu().numpy()[rows]
-        if self.faults.most["latency"]:
-            self._pending[ids] = tensordict.get("pending_action").cpu()[ids]
+        if self.faults.memory:
+            pending = tensordict.get("pending_action").cpu()[ids]
+            self._pending[ids] = pending.unflatten(-1, (self.faults.memory, 2))
         if self.faults.is_random:
             self._faults[ids] = tensordict.get("faults").cpu()[ids]
 
@@ -284,11 +316,12 @@ class NavigationEnv(BatchedMujocoEnv):
         self._began[rows, 1] = task.human_pose[rows, :2]
         position, rotation = self._view["mocap_pos"].numpy(), self._view["mocap_quat"].numpy()
         position[rows, self._mocap_goal, :2] = task.goal[rows]
-        position[rows, self._mocap_human, :2] = task.human_pose[rows, :2]
-        rotation[rows, self._mocap_human] = yaw_quaternion(task.human_pose[rows, 2])
+        each, people = rows[:, None], self._substeps.mocap_people
+        position[each, people, :2] = task.people[rows, :, :2]
+        rotation[each, people] = yaw_quaternion(task.people[rows, :, 2])
         if not self._box_geoms:
             return
-        boxes, each = task.boxes[rows], rows[:, None]
+        boxes = task.boxes[rows]
         position[each, self._mocap_boxes, :2] = boxes[..., :2]
         rotation[each, self._mocap_boxes] = yaw_quaternion(boxes[..., 2])
         # Bounding volumes follow the new sizes only through set_const.
@@ -298,21 +331,18 @@ class NavigationEnv(BatchedMujocoEnv):
     # --- step ----------------------------------------------------------------------------------
 
     def _prepare_ctrl(self, action: Tensor) -> Tensor:
+        faults = self.faults
         action = action.double()
-        if self.faults.most["latency"]:
-            late, command = self._faults[:, 3:] > 0, action
-            action = torch.where(late, self._pending, command)
-            self._pending = command.clone()
+        if faults.memory or faults.scale:
+            action = faults.executed(action, self._pending, self._faults, self.CONTROL_PERIOD)
         low, high = self._action_low, self._action_high
-        action = self.faults.disturb_velocity(action, self._faults, low, high, self._fault_rng)
+        action = faults.disturb_velocity(action, self._faults, low, high, self._fault_rng)
         velocity = action.numpy().clip(low.numpy(), high.numpy())
         return torch.from_numpy(velocity_to_ctrl(velocity, self.drive))
 
-    def _before_physics(self) -> None:
-        if self.scene.human_speed:
-            self._task.walk(self.scene.human_speed * self.CONTROL_PERIOD)
-            human = self._task.human_pose[:, :2]
-            self._view["mocap_pos"].numpy()[:, self._mocap_human, :2] = human
+    def _simulate(self) -> None:
+        time = self._elapsed.numpy()[:, 0] * self.CONTROL_PERIOD
+        self._substeps.advance(self.batch, self._view, self._task, time)
 
     def _compute_terminated(self, state: PhysicsState, next_state: PhysicsState) -> Tensor:
         self._task.locate(next_state.qpos.numpy()[:, :2])
@@ -340,14 +370,12 @@ class NavigationEnv(BatchedMujocoEnv):
         pose = qpos_to_pose(self._view["qpos"].numpy()[rows], self.drive)
         cos, sin = cos_sin(pose[:, 2])
         seen = task.ahead_and_left(cos, sin, ids)
-        ahead, left = seen[:, :2]
-        polar = np.empty((2, len(pose), 2), self._array_dtype)
-        polar[..., 0] = task.distance[:, rows]
-        polar[..., 1] = arctan2(left, ahead)
-        goal, human = (torch.from_numpy(values).to(self.dtype) for values in polar)
+        time = self._elapsed.numpy()[rows, 0] * self.CONTROL_PERIOD
+        where = task, seen, cos, sin, ids, self._faults[rows]
+        goal, human = self._perception.polar(*where, time)
         flags = task.flags[rows].copy()
         out = {
-            "scan": self._scan(seen, cos, sin, ids),
+            "scan": self._perception.scan(*where),
             "goal": goal,
             "human": human,
             "success": torch.from_numpy(flags[:, 0:1]),
@@ -358,28 +386,14 @@ class NavigationEnv(BatchedMujocoEnv):
         }
         if self.snapshots:
             scene = {
-                key: torch.from_numpy(getattr(task, key)[rows].copy())
-                for key in ("goal", "human_goal", "boxes")
+                key: torch.from_numpy(getattr(task, key)[rows].copy()) for key in self._scene_keys
             }
             out["scene"] = TensorDict(scene, batch_size=[len(pose)])
-            if self.faults.most["latency"]:
-                out["pending_action"] = self._pending[rows].clone()
+            if self.faults.memory:
+                out["pending_action"] = self._pending[rows].flatten(1).clone()
             if self.faults.is_random:
                 out["faults"] = self._faults[rows].clone()
         return out
-
-    def _scan(
-        self, seen: np.ndarray, cos: np.ndarray, sin: np.ndarray, ids: np.ndarray | None
-    ) -> Tensor:
-        task = self._task
-        ranges = self._lidar.cast(seen, cos, sin, task.boxes, task.radius, ids)
-        if self.faults.disturb_scans:
-            amounts = self._faults if ids is None else self._faults[ids]
-            ranges = self.faults.disturb_ranges(
-                torch.from_numpy(ranges), amounts, self.max_range, self._fault_rng
-            )
-            ranges = ranges.clamp(MIN_RANGE, self.max_range).numpy()
-        return torch.from_numpy(self._lidar.scan(ranges)).to(self.dtype)
 
     def _camera(self, camera: str | Camera, index: int, aspect: float) -> Camera | str:
         if camera not in ("top", "chase"):
@@ -388,10 +402,7 @@ class NavigationEnv(BatchedMujocoEnv):
         pose = torch.from_numpy(qpos_to_pose(qpos, self.drive)[0])
         if camera == "chase":
             return chase_view(pose, self.robot)
-        task = self._task
-        points = np.stack((*self._began[index], task.goal[index], task.human_goal[index]))
-        boxes = torch.from_numpy(task.boxes[index])
-        return top_view(torch.from_numpy(points), boxes, pose[:2], aspect)
+        return episode_view(self._task, self._began[index], index, pose[:2], aspect)
 
     def _set_seed(self, seed: int | None) -> None:
         super()._set_seed(seed)

@@ -137,6 +137,8 @@ def make_policy_env(
         period=base.CONTROL_PERIOD,
         observe_human=observe_human,
         observe_human_velocity=observe_human_velocity,
+        # Invalid rays are then part of the scans.
+        range_min=MIN_RANGE if base.faults.code_beams else None,
     )
     if sampler is not None:
         transforms.append(sampler)

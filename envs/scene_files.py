@@ -14,9 +14,10 @@ from torch import Tensor
 
 from torchrl_morl.arguments import is_number
 
+from .catalogue import SCENES
 from .fields import Fields, is_description, is_list, number_hint, shown
 from .scene_checks import problems, solvable
-from .scenes import SCENES, Scene
+from .scenes import Scene
 
 _FIELDS = ("name", "start", "goal", "human", "human_goal", "human_speed", "boxes")
 _BOX_FIELDS = ("at", "yaw", "size")
