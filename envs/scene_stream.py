@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from .people_files import PeopleSampler
 from .scene_checks import checked
 from .scene_files import SceneSampler
 from .scenes import Scene
@@ -54,7 +55,7 @@ class SceneStream:
         self.num_envs = num_envs
         self.repeat_failed = repeat_failed
         self.goal_radius = goal_radius
-        if isinstance(scene.sample, SceneSampler):
+        if isinstance(scene.sample, SceneSampler | PeopleSampler):
             # Before anything is trained or written. A function of the user's may keep a count.
             scene.sample.check(robot_radius)
         self.seed(0)
