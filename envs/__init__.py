@@ -6,6 +6,7 @@ from .faults import Faults
 from .navigation import NavigationEnv
 from .objectives import OBJECTIVES, RewardConstants
 from .rendering import Camera
+from .robot_ranges import ANY_ROBOT, RobotRanges, get_robots
 from .robots import HSR, ROBOTS, TURTLEBOT2, Robot, get_robot
 from .scene_files import get_scene
 from .scenes import (
@@ -21,6 +22,7 @@ from .scenes import (
 )
 
 __all__ = [
+    "ANY_ROBOT",
     "CORRIDOR",
     "EMPTY",
     "EVERYDAY",
@@ -42,7 +44,9 @@ __all__ = [
     "PhysicsState",
     "RewardConstants",
     "Robot",
+    "RobotRanges",
     "Scene",
     "get_robot",
+    "get_robots",
     "get_scene",
 ]

@@ -59,6 +59,7 @@ class Lidar:
         boxes: np.ndarray,
         radius: np.ndarray,
         ids: np.ndarray | None = None,
+        offset: np.ndarray | None = None,
     ) -> np.ndarray:
         """Ranges of the rays in view, metres.
 
@@ -70,17 +71,36 @@ class Lidar:
             boxes: of all ``N`` environments, ``[N, B, 5]``: x, y, heading, half length, half width.
             radius: of circles around people and boxes, ``[P + B, N]``, metres.
             ids: which environments the ``n`` robots are in; ``None`` for all.
+            offset: of the lidars, where they differ, ``[n]``, metres ahead of the centres.
 
         Returns:
             ``[n, rays in view]``, from a millimetre to ``max_range``.
         """
         rows = np.arange(len(cos)) if ids is None else ids
         ranges = np.full((len(rows), self.num_rays), self.max_range, self.dtype)
-        _cast(ranges, seen, cos, sin, rows, boxes, radius, self._rays, self.robot.lidar_offset)
+        if offset is None:
+            offset = np.full(len(rows), self.robot.lidar_offset)
+        _cast(ranges, seen, cos, sin, rows, boxes, radius, self._rays, offset)
         return ranges if len(self._ids) == self.num_rays else ranges[:, self._ids]
+
+    def limit(self, scan: np.ndarray, fov: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """Whole scans ``[n, num_rays]`` of lidars that see less: what they miss is no return.
+
+        Args:
+            scan: it is changed in place.
+            fov: of each, ``[n]``, radians.
+            reach: of each, ``[n]``, metres.
+        """
+        angle = 2 * math.pi * np.arange(self.num_rays) / self.num_rays
+        away = np.minimum(angle, 2 * math.pi - angle)
+        missed = (away > fov[:, None] / 2 + 1e-9) | (scan > reach[:, None])
+        scan[missed] = self.max_range
+        return scan
 
     def scan(self, ranges: np.ndarray) -> np.ndarray:
         """The whole revolution ``[n, num_rays]`` from the ranges of the rays in view."""
+        if self.robot.lidar_range < self.max_range:
+            ranges = np.where(ranges > self.robot.lidar_range, self.max_range, ranges)
         if len(self._ids) == self.num_rays:
             return ranges
         scan = np.full((len(ranges), self.num_rays), self.max_range, ranges.dtype)
@@ -138,12 +158,13 @@ def _rays_between_tangents(x, y, radius, max_range, num_rays):
 
 
 @_compiled
-def _cast(ranges, seen, cos, sin, rows, boxes, radius, rays, offset):
+def _cast(ranges, seen, cos, sin, rows, boxes, radius, rays, offsets):
     """Lower ``ranges`` [n, rays], full of the largest one, to what the rays meet."""
     num_rays = len(rays)
     people = seen.shape[1] - 1 - boxes.shape[1]
     for robot in range(len(rows)):
         row, scan, max_range = rows[robot], ranges[robot], ranges[robot, 0]
+        offset = offsets[robot]
         for item in range(people):
             x, y, circle = (
                 seen[0, 1 + item, robot] - offset,

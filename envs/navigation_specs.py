@@ -9,6 +9,7 @@ from torchrl.data import Binary, Bounded, Composite, TensorSpec, Unbounded
 
 from .faults import NUM_AMOUNTS, Faults
 from .people import PERSON
+from .robot_ranges import DRIVEN
 from .scenes import Scene
 
 
@@ -34,7 +35,9 @@ def observation_spec(
     )
 
 
-def snapshot_specs(n: int, scene: Scene, faults: Faults) -> dict[str, TensorSpec]:
+def snapshot_specs(
+    n: int, scene: Scene, faults: Faults, *, robots_differ: bool = False
+) -> dict[str, TensorSpec]:
     """Of what an episode of ``n`` environments needs, besides its poses, to go on from there."""
     fields = {
         "goal": Unbounded(shape=(n, 2), dtype=torch.float64),
@@ -45,6 +48,8 @@ def snapshot_specs(n: int, scene: Scene, faults: Faults) -> dict[str, TensorSpec
     else:
         shape = (n, scene.num_people, len(PERSON))
         fields["people"] = Unbounded(shape=shape, dtype=torch.float64)
+    if robots_differ:
+        fields["robot"] = Unbounded(shape=(n, len(DRIVEN)), dtype=torch.float64)
     specs = {"scene": Composite(fields, shape=(n,))}
     if faults.memory:
         specs["pending_action"] = Unbounded(shape=(n, 2 * faults.memory), dtype=torch.float64)

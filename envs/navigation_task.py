@@ -96,6 +96,29 @@ class NavigationTask:
     def _arrays(self) -> dict[str, np.ndarray]:
         return {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
 
+    def place(self, rows: np.ndarray, scene: Mapping[str, np.ndarray]) -> None:
+        """Put everything of the environments ``rows`` in its place: fields of :class:`envs.Scene`.
+
+        Where robots differ, ``robot`` [n, 8] begins with their radius.
+        """
+        self.goal[rows], self.boxes[rows] = scene["goal"], scene["boxes"]
+        if "people" in scene:
+            self.people[rows] = scene["people"]
+        else:
+            self.people[rows, 0, :3] = scene["human"]
+            self.people[rows, 0, 3:5] = scene["human_goal"]
+        if "robot" in scene:
+            self.robot_radius[rows] = scene["robot"][:, 0]
+
+    def snapshot(self, rows: np.ndarray | slice, *, several: bool) -> dict[str, np.ndarray]:
+        """What :meth:`place` needs to go on from here, without the human's pose if there are not several."""
+        scene = {"goal": self.goal[rows].copy()}
+        if several:
+            scene["people"] = self.people[rows].copy()
+        else:
+            scene["human_goal"] = self.human_goal[rows].copy()
+        return scene | {"boxes": self.boxes[rows].copy()}
+
     def begin(self, rows: np.ndarray, position: np.ndarray) -> None:
         """New episodes in the environments ``rows``, with all robots at ``position`` [N, 2]."""
         boxes = self.boxes[rows]

@@ -13,6 +13,9 @@ from .geometry import arctan2
 from .lidar import MIN_RANGE, Lidar
 from .navigation_task import NavigationTask
 from .people import FAR
+from .robot_ranges import DRIVEN
+
+_FOV, _REACH, _OFFSET = map(DRIVEN.index, ("lidar_fov", "lidar_range", "lidar_offset"))
 
 NOBODY = (4.0, math.pi)
 """Distance (m) and bearing (rad) that are reported of the human where nobody is: what
@@ -35,7 +38,6 @@ class Perception:
         lidar: Lidar,
         faults: Faults,
         generator: torch.Generator,
-        *,
         may_be_absent: bool,
         dtype: torch.dtype,
     ) -> None:
@@ -52,6 +54,7 @@ class Perception:
         sin: np.ndarray,
         ids: np.ndarray | None,
         amounts: Tensor,
+        robots: np.ndarray | None = None,
     ) -> Tensor:
         """Scans ``[n, num_rays]``, metres; arguments as of :meth:`Lidar.cast`.
 
@@ -62,9 +65,13 @@ class Perception:
             sin: of their headings.
             ids: their environments; ``None`` for all.
             amounts: of the faults there.
+            robots: where they differ, ``[n, 8]``: see :data:`envs.robot_ranges.DRIVEN`.
         """
         lidar, faults = self.lidar, self.faults
-        ranges = lidar.cast(seen, cos, sin, task.boxes, task.radius, ids)
+        offset = None if robots is None else robots[:, _OFFSET]
+        ranges = lidar.cast(seen, cos, sin, task.boxes, task.radius, ids, offset)
+        if robots is not None:
+            ranges = lidar.limit(ranges, robots[:, _FOV], robots[:, _REACH])
         if not faults.disturb_scans:
             return torch.from_numpy(lidar.scan(ranges)).to(self.dtype)
         disturbed = faults.disturb_ranges(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from torch import Tensor
@@ -16,12 +15,6 @@ _SUBSTEPS = 4
 
 # What comes nearer in a step, over its speed: servos and contacts overshoot a little.
 _REACH = 1.2
-
-
-def mocap_people(model: mujoco.MjModel, count: int) -> list[int]:
-    """Where in ``mocap_pos`` the people of :func:`envs.mjcf.navigation_mjcf` are."""
-    names = ["human", *(f"person{index}" for index in range(1, count))]
-    return [int(model.body(name).mocapid[0]) for name in names]
 
 
 class Substeps:
