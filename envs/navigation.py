@@ -67,8 +67,7 @@ class NavigationEnv(BatchedMujocoEnv):
                                           :meth:`Faults.draw`; as ``scene``, if episodes draw them
     ======================  ============  =======================================================
 
-    Objectives (equations 2 to 4 of the paper, with the sign of the goal term corrected; ``rewards``
-    holds the numbers):
+    Objectives (equations 2 to 4 of the paper, the goal's sign corrected; ``rewards`` has the numbers):
 
     - core: ``125 (d[t-1] - d[t])`` for approaching the goal, ``-1000`` for a collision;
     - distance: ``-10 (2 - d_h)^2 / (2 - 0.3)^2`` while the human's centre is within 2 m;
@@ -78,24 +77,18 @@ class NavigationEnv(BatchedMujocoEnv):
     An episode terminates at the goal or in a collision and is truncated after 300 steps of 0.2 s.
 
     Keyword Args:
-        scene: a name from :data:`envs.SCENES`, a YAML file, a mapping or a :class:`envs.Scene`: see
-            :func:`envs.get_scene`.
-        robot: a name from :data:`envs.ROBOTS`, a YAML file, a mapping or a :class:`envs.Robot`: see
-            :func:`envs.get_robot`. With ``"any"``, or ranges in place of numbers, every episode draws
-            its robot, see :func:`envs.get_robots`; ``action`` is then in shares of its limits, from
-            (0, -1) to (1, 1).
-        drive: ``"planar"`` (velocity servos) or ``"wheels"`` (rolling contact, several times dearer,
-            for sim-to-sim checks).
-        goal_radius: distance between the robot's centre and the goal at which it is reached, m.
+        scene: see :func:`envs.get_scene`.
+        robot: see :func:`envs.get_robots`. With ``"any"``, or ranges in place of numbers, every episode
+            draws its own, and ``action`` is in shares of its limits, from (0, -1) to (1, 1).
+        drive: ``"planar"`` (velocity servos) or ``"wheels"`` (rolling contact, several times dearer).
+        goal_radius: distance at which the goal is reached, metres.
         num_rays: lidar rays per revolution.
         max_range: range of the lidar, metres.
-        repeat_failed: share of the episodes that take place in a scene in which one has failed, for
-            training: see :class:`envs.scene_stream.SceneStream`.
-        report_robot: observe ``robot`` [N, 6]: radius, top speed, top turn rate, view and range of the
-            lidar, and how far ahead of the centre it is; metres, seconds, radians.
-        faults: sensor and actuation faults, also as a mapping of their names to amounts.
+        repeat_failed: see :class:`envs.scene_stream.SceneStream`; for training.
+        report_robot: observe ``robot`` [N, 6]: the first of :data:`envs.robot_ranges.DRIVEN`.
+        faults: of sensors and actuation, also as a mapping.
         objectives: names from :data:`envs.OBJECTIVES`, one for each entry of the reward.
-        rewards: constants of the objectives, also as a mapping of their names to numbers.
+        rewards: constants of the objectives, also as a mapping.
         max_episode_steps: steps of 0.2 s before truncation.
         camera: ``"top"`` shows the whole scene from above, ``"chase"`` follows the robot.
         **kwargs: see :class:`BatchedMujocoEnv`.
@@ -266,8 +259,7 @@ class NavigationEnv(BatchedMujocoEnv):
         self._task.people[..., 5] = self.scene.human_speed
         self._pending = torch.zeros(n, self.faults.memory, 2, dtype=torch.float64)
         self._faults = self.faults.draw(n, torch.Generator())
-        # Where robot and human were at the start: pictures show it.
-        self._began = np.zeros((n, 2, 2))
+        self._began = np.zeros((n, 2, 2))  # robot and human at the start, for pictures
         return spec
 
     def _make_state_spec(self, snapshot: Composite, observation: Composite) -> Composite:

@@ -78,6 +78,7 @@ class PolicyRunner:
         lidar: of the robot.
         goal_radius: distance at which the goal is reached, metres; that of the training if ``None``.
         timeout: age at which an input is too old, seconds; one period if ``None``.
+        robot: which robot it is, six numbers as of :meth:`Policy.act`, for policies that read it.
         max_speed: of the robot, m/s, if lower than the policy's.
         max_turn_rate: likewise, rad/s. Speed and turn rate are lowered together, so that the robot
             follows the same arc, more slowly.
@@ -116,6 +117,7 @@ class PolicyRunner:
         lidar: LidarGeometry,
         goal_radius: float | None = None,
         timeout: float | None = None,
+        robot: Sequence[float] | None = None,
         max_speed: float | None = None,
         max_turn_rate: float | None = None,
     ) -> None:
@@ -126,6 +128,12 @@ class PolicyRunner:
         if policy.sensing is None:
             raise ValueError("the file of this policy does not tell what it senses.")
         lidar.check(policy.sensing)
+        if policy.sensing.observe_robot != (robot is not None):
+            needs = "needs robot=" if robot is None else "does not read robot="
+            raise ValueError(f"this policy {needs}: radius, limits and lidar of the robot.")
+        self.robot = robot if robot is None else _numbers("robot", robot, "six numbers", 6)
+        # Of such a policy, ranges are those of the lidar where it is.
+        self._origin = policy.sensing.lidar_origin if robot is None else (self.robot[5], 0.0)
         self.policy, self.lidar = policy, lidar
         limits = policy.limits
         self.goal_radius = policy.sensing.goal_range[0] if goal_radius is None else goal_radius
@@ -190,9 +198,7 @@ class PolicyRunner:
             return self._stop("no goal", "the goal is None")
         sensing = self.policy.sensing
         try:
-            lidar = self.lidar.sectors(
-                ranges, sensing.num_sectors, sensing.max_range, sensing.lidar_origin
-            )
+            lidar = self.lidar.sectors(ranges, sensing.num_sectors, sensing.max_range, self._origin)
             unknown = np.isnan(lidar)
             if lidar.ndim != 1:
                 raise ValueError(f"one scan at a time, got {len(lidar)}")
@@ -207,6 +213,7 @@ class PolicyRunner:
                 goal=goal,
                 human=human,
                 human_velocity=None if human is None else human_velocity,
+                robot=self.robot,
             )
         except ValueError as error:
             return self._stop("refused", one_line(error).rstrip("."))

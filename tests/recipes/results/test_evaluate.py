@@ -162,7 +162,9 @@ def test_files_that_are_incomplete_are_refused(tmp_path):
 # --- conditions
 
 
-@pytest.mark.parametrize("name", [*SCENE_KINDS, *CHANGES, "moving_human+faults", "corridor+hsr_wheels_faults"])
+@pytest.mark.parametrize(
+    "name", [*SCENE_KINDS, *CHANGES, "moving_human+faults", "corridor+hsr_wheels_faults"]
+)
 def test_conditions_by_name(name):
     arguments = condition(name)
     assert set(arguments) == {"scene", "robot", "drive", "faults"}
