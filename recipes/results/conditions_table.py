@@ -22,9 +22,10 @@ import torch
 
 from envs import HUMAN_RADIUS
 from envs.people import FAR
-from torchrl_morl.evaluation import draw_paths, draw_scene
+from torchrl_morl.evaluation import draw_scene
 
 from ..arguments import Parser, count
+from ..evaluation.setting import GOAL_RADIUS
 from ..outputs import choose_file
 from .conditions import CHANGES, SCENE_KINDS
 from .files import SUMMARY, Evaluation, read_evaluation
@@ -42,7 +43,9 @@ def read_system(directory: Path, system: str) -> dict[str, Evaluation]:
     Raises:
         FileNotFoundError: if there is none.
     """
-    folders = {path.parent.name: path.parent for path in directory.glob(f"{system}/[!.]*/{SUMMARY}")}
+    folders = {
+        path.parent.name: path.parent for path in directory.glob(f"{system}/[!.]*/{SUMMARY}")
+    }
     if not folders:
         raise FileNotFoundError(
             f"No evaluation of {system!r} in {directory}: python -m recipes.results.evaluate makes them."
@@ -77,10 +80,10 @@ def failures_page(path: Path, evaluations: dict[str, Evaluation], panels: int) -
     Returns:
         The conditions that are shown; nothing is written if nothing fails.
     """
-    share = {
-        name: 1 - one.values("success").mean() for name, one in evaluations.items()
-    }
-    shown = [name for name in sorted(share, key=share.get, reverse=True) if share[name] > 0][:panels]
+    share = {name: 1 - one.values("success").mean() for name, one in evaluations.items()}
+    shown = [name for name in sorted(share, key=share.get, reverse=True) if share[name] > 0][
+        :panels
+    ]
     if not shown:
         return []
     lines = -(-len(shown) // _COLUMNS)
@@ -110,9 +113,16 @@ def _draw_failures(axis: plt.Axes, evaluation: Evaluation) -> None:
     scene = int(failed.sum(0).argmax())
     arrays = evaluation.trajectories
     boxes = arrays["boxes"][scene]
-    boxes = boxes[boxes[:, 0] < FAR / 2]
-    goal = torch.from_numpy(arrays["goal"][scene])
-    draw_scene(axis, boxes=torch.from_numpy(boxes), goal=goal)
+    still = {name: torch.from_numpy(arrays[name][scene]) for name in ("start", "goal")}
+    draw_scene(
+        axis,
+        **still,
+        human=torch.from_numpy(arrays["human_start"][scene]),
+        boxes=torch.from_numpy(boxes[boxes[:, 0] < FAR / 2]),
+        human_radius=HUMAN_RADIUS,
+        goal_radius=GOAL_RADIUS,
+    )
+    places = [still["start"][None, :2].numpy(), still["goal"][None].numpy()]
     for row in np.flatnonzero(failed[:, scene]):
         mask = arrays["mask"][0, row, scene]
         path, human = (arrays[name][0, row, scene][mask] for name in ("position", "human"))
@@ -120,11 +130,14 @@ def _draw_failures(axis: plt.Axes, evaluation: Evaluation) -> None:
         colour = _FAILURE_COLOURS[cause]
         axis.plot(*path.T, color=colour, linewidth=1.2)
         axis.plot(*path[-1], "o", color=colour, markersize=4)
+        places.append(path)
         if abs(human[-1, 0]) < FAR / 2:
+            places.append(human[-1:])
             axis.plot(*human.T, color="0.35", linestyle=":", linewidth=1.0)
             axis.add_patch(plt.Circle(human[-1], HUMAN_RADIUS, color="black", alpha=0.6))
-    axis.plot(*arrays["start"][scene][:2], "s", color="black", markersize=4)
-    axis.set_aspect("equal", adjustable="datalim")
+    low, high = (edge(np.concatenate(places), axis=0) for edge in (np.min, np.max))
+    axis.set_xlim(low[0] - 1, high[0] + 1)
+    axis.set_ylim(low[1] - 1.5, high[1] + 1.5)
     axis.tick_params(labelsize=7)
 
 
