@@ -108,7 +108,7 @@ class Lidar:
         return scan
 
 
-def _compiled(function: Callable) -> Callable:
+def compiled(function: Callable) -> Callable:
     """Compiled on first use, a second, and kept on disk for the next process where that is possible."""
     try:
         return numba.njit(function, cache=True, nogil=True)
@@ -116,7 +116,7 @@ def _compiled(function: Callable) -> Callable:
         return numba.njit(function, nogil=True)
 
 
-@_compiled
+@compiled
 def _circle_range(x, y, u, v, radius):
     """Range from the origin along the unit vector (u, v) to a circle around (x, y)."""
     middle = x * u + y * v
@@ -128,7 +128,7 @@ def _circle_range(x, y, u, v, radius):
     return near if near >= 0.0 else math.inf
 
 
-@_compiled
+@compiled
 def _box_range(x, y, u, v, half_length, half_width):
     """Range from (x, y) along the unit vector (u, v), in the frame of the box."""
     near, far = -math.inf, math.inf
@@ -144,7 +144,7 @@ def _box_range(x, y, u, v, half_length, half_width):
     return near if near >= 0.0 else far  # from inside, where the ray leaves
 
 
-@_compiled
+@compiled
 def _rays_between_tangents(x, y, radius, max_range, num_rays):
     """First and last ray, which may count on beyond a revolution, that a circle around (x, y) can meet."""
     distance = math.hypot(x, y)
@@ -157,7 +157,7 @@ def _rays_between_tangents(x, y, radius, max_range, num_rays):
     return math.ceil((middle - half) / step), math.floor((middle + half) / step)
 
 
-@_compiled
+@compiled
 def _cast(ranges, seen, cos, sin, rows, boxes, radius, rays, offsets):
     """Lower ``ranges`` [n, rays], full of the largest one, to what the rays meet."""
     num_rays = len(rays)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from .contacts import gaps
 from .fields import shown
 from .geometry import cos_sin, norm
 from .objectives import OBJECTIVES, RewardConstants
@@ -191,41 +192,42 @@ class NavigationTask:
         self.flags[:, 2] = hit_box
         return self.flags.any(1, keepdims=True)
 
-    def may_touch(self, reach: np.ndarray | float) -> np.ndarray:
+    def may_touch(self, position: np.ndarray, reach: np.ndarray | float) -> np.ndarray:
         """Which robots have a box or a person within that reach of their hulls, bool ``[N]``.
 
         Args:
+            position: of the robots, ``[N, 2]``, metres.
             reach: what robots and people can come nearer in a step, metres.
         """
-        near = self.distance[1] - HUMAN_RADIUS - self.robot_radius <= reach
-        if self.boxes.shape[1]:
-            gap = np.sqrt(self._squared_box_distance().min(0)) - self.robot_radius
-            near |= gap <= reach
-        return near
+        person, box = self._gaps(position, np.arange(len(position)))
+        hull = self.robot_radius + reach
+        return (person <= hull + HUMAN_RADIUS) | (box <= hull)
 
     def touch(self, rows: np.ndarray, position: np.ndarray) -> None:
         """Remember what robots ``rows`` touch at ``position`` [n, 2], in the middle of a step."""
-        way = self._points[:, :, rows] - position.T[:, None]
+        person, box = self._gaps(position, rows)
         radius = self._radius_of(rows)
-        people = way[:, 1 : self._first_box]
-        person = np.sqrt(np.vecdot(people, people, axis=0)).min(0) <= radius + HUMAN_RADIUS
-        box = (self._squared_box_distance(way, rows) <= radius**2).any(0)
-        # Whatever came first counts.
-        new = ~self._touched[rows].any(1)
-        self._touched[rows, 0] |= person & new
-        self._touched[rows, 1] |= box & ~person & new
+        hits_person, hits_box = person <= radius + HUMAN_RADIUS, box <= radius
+        if hits_person.any() or hits_box.any():
+            # Whatever came first counts.
+            new = ~self._touched[rows].any(1)
+            self._touched[rows, 0] |= hits_person & new
+            self._touched[rows, 1] |= hits_box & ~hits_person & new
+
+    def _gaps(self, position: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        boxes, people = self.boxes, self._first_box - 1
+        cos, sin = self._box_cos, self._box_sin
+        return gaps(self._points, position, rows, cos, sin, boxes, people)
 
     def _radius_of(self, rows: np.ndarray) -> np.ndarray | float:
         radius = self.robot_radius
         return radius[rows] if isinstance(radius, np.ndarray) else radius
 
-    def _squared_box_distance(
-        self, way: np.ndarray | None = None, rows: np.ndarray | slice = slice(None)
-    ) -> np.ndarray:
-        """From the robots' centres to the boxes, ``[B, n]``, zero inside."""
-        x, y = (self.way if way is None else way)[:, self._first_box :]
-        cos, sin = self._box_cos[:, rows], self._box_sin[:, rows]
-        half_length, half_width = self.boxes[rows, :, 3].T, self.boxes[rows, :, 4].T
+    def _squared_box_distance(self) -> np.ndarray:
+        """From the robots' centres to the boxes, ``[B, N]``, zero inside."""
+        x, y = self.way[:, self._first_box :]
+        cos, sin = self._box_cos, self._box_sin
+        half_length, half_width = self.boxes[..., 3].T, self.boxes[..., 4].T
         # From the robot to the nearest point of the box, in the frame of the box.
         along = np.maximum(abs(cos * x + sin * y) - half_length, 0.0)
         across = np.maximum(abs(cos * y - sin * x) - half_width, 0.0)

@@ -8,6 +8,8 @@ import torch
 from mujoco.batch import Batch
 from torch import Tensor
 
+from torchrl_morl.arguments import check_count
+
 from .mjcf import Drive
 from .robot_ranges import DRIVEN, RobotRanges
 from .robots import Robot
@@ -32,11 +34,15 @@ class RobotBatch:
     """
 
     def __init__(self, robots: Robot | RobotRanges, num_envs: int, drive: Drive) -> None:
+        check_count("num_envs", num_envs)
         self.varies = isinstance(robots, RobotRanges)
         self.ranges = robots if self.varies else None
         if self.varies and drive != "planar":
             raise ValueError(f"drive must be 'planar' for robots that differ, got {drive!r}.")
         self.largest = robots.largest if self.varies else robots
+        speed, turn = (1.0, 1.0) if self.varies else self._limits(self.largest)
+        bounds = torch.tensor([[0.0, -turn], [speed, turn]], dtype=torch.float64)
+        self._bounds = bounds[0], bounds[1]
         row = [getattr(self.largest, name) for name in DRIVEN]
         self.numbers = np.tile(np.array(row, dtype=np.float64), (num_envs, 1))
         """``[N, 8]``, in the order of :data:`envs.robot_ranges.DRIVEN`."""
@@ -52,8 +58,7 @@ class RobotBatch:
 
     def action_bounds(self) -> tuple[Tensor, Tensor]:
         """Lowest and highest action ``[2]``: m/s and rad/s, or shares of the limits where they differ."""
-        speed, turn = (1.0, 1.0) if self.varies else self._limits(self.largest)
-        return torch.tensor([[0.0, -turn], [speed, turn]], dtype=torch.float64).unbind(0)
+        return self._bounds
 
     def velocity_bounds(self) -> tuple[Tensor, Tensor]:
         """Lowest and highest velocity, m/s and rad/s, ``[2]``, or ``[N, 2]`` where they differ."""

@@ -136,7 +136,7 @@ def _human(fields: Fields) -> tuple[list[Range], Range | None]:
     human = fields.values.get("human")
     if human is None:
         raise ValueError(
-            f"{fields.where}: human is missing: somebody, such as human: [0, 4], or people: [] for nobody."
+            f"{fields.where}: human is missing: every scene has one, such as human: [0, 4], or people, [] for nobody."
         )
     if is_list(human) and len(human) == 3:
         ranges = read_numbers(fields, "human", ("x", "y", "heading"), (METRES, METRES, RADIANS))

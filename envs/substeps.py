@@ -55,7 +55,8 @@ class Substeps:
             task: whose robots are located where they are; it is told what they touch.
             time: since the start of each episode, ``[N]``, seconds.
         """
-        near = task.may_touch(self.reach)
+        position = view["qpos"].numpy()[:, :2]
+        near = task.may_touch(position, self.reach)
         if not near.any():
             self._walk(view, task, self.period, time, np.arange(len(time)))
             batch.step(nstep=self.frame_skip)
@@ -69,7 +70,7 @@ class Substeps:
             self._walk(view, task, length, time[rows] + step * length, rows)
             batch.step(rows, nstep=self.frame_skip // _SUBSTEPS)
             if step < _SUBSTEPS - 1:
-                task.touch(rows, view["qpos"].numpy()[rows, :2])
+                task.touch(rows, position[rows])
 
     def _walk(
         self,
