@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .contacts import gaps
+from .contacts import gaps, near_rows
 from .fields import shown
 from .geometry import cos_sin, norm
 from .objectives import OBJECTIVES, RewardConstants
@@ -66,6 +66,7 @@ class NavigationTask:
         self._touched = np.zeros((num_envs, 2), dtype=bool)
         """Whether a person or a box was touched within this step, ``[N, 2]``."""
         self._first_box = 1 + num_people
+        self._hull = np.zeros(num_envs)
         self._points = np.zeros_like(self.way)
         self._box_cos, self._box_sin = np.zeros((2, num_boxes, num_envs))
 
@@ -192,16 +193,17 @@ class NavigationTask:
         self.flags[:, 2] = hit_box
         return self.flags.any(1, keepdims=True)
 
-    def may_touch(self, position: np.ndarray, reach: np.ndarray | float) -> np.ndarray:
-        """Which robots have a box or a person within that reach of their hulls, bool ``[N]``.
+    def may_touch(self, position: np.ndarray, reach: float) -> np.ndarray:
+        """Environments of robots that have a box or a person within that reach of their hulls, ``[n]``.
 
         Args:
             position: of the robots, ``[N, 2]``, metres.
             reach: what robots and people can come nearer in a step, metres.
         """
-        person, box = self._gaps(position, np.arange(len(position)))
-        hull = self.robot_radius + reach
-        return (person <= hull + HUMAN_RADIUS) | (box <= hull)
+        self._hull[:] = self.robot_radius + reach
+        headings = self._box_cos, self._box_sin
+        scene = self.boxes, self._first_box - 1, HUMAN_RADIUS
+        return near_rows(self._points, position, *headings, *scene, self._hull)
 
     def touch(self, rows: np.ndarray, position: np.ndarray) -> None:
         """Remember what robots ``rows`` touch at ``position`` [n, 2], in the middle of a step."""

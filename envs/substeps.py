@@ -56,12 +56,13 @@ class Substeps:
             time: since the start of each episode, ``[N]``, seconds.
         """
         position = view["qpos"].numpy()[:, :2]
-        near = task.may_touch(position, self.reach)
-        if not near.any():
-            self._walk(view, task, self.period, time, np.arange(len(time)))
+        rows = task.may_touch(position, self.reach)
+        everywhere = np.arange(len(time))
+        if not len(rows):
+            self._walk(view, task, self.period, time, everywhere)
             batch.step(nstep=self.frame_skip)
             return
-        rows, far = np.flatnonzero(near), np.flatnonzero(~near)
+        far = np.delete(everywhere, rows)
         if len(far):
             self._walk(view, task, self.period, time[far], far)
             batch.step(far, nstep=self.frame_skip)
