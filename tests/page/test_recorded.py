@@ -14,6 +14,8 @@ from tests._command import ROOT
 
 from ._node import needs_node
 
+pytestmark = pytest.mark.slow  # minutes on two cores
+
 SHIPPED = ROOT / "examples" / "drives_page.csv"
 
 

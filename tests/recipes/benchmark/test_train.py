@@ -21,6 +21,8 @@ from recipes.benchmark.lattice import what_does_not_steer
 from tests._command import run, run_here
 from torchrl_morl.deploy import load_policy
 
+pytestmark = pytest.mark.slow  # minutes on two cores
+
 CART = "env=examples.my_environment:Cart-v0"
 SHARED = (
     "compute.torch_threads=1",

@@ -20,6 +20,8 @@ viser = pytest.importorskip("viser", reason="viser is not installed: group live"
 
 from recipes.live.view import LiveView, on_floor  # noqa: E402
 
+pytestmark = pytest.mark.slow  # minutes on two cores
+
 
 @pytest.fixture(scope="module")
 def view():
