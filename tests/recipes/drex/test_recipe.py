@@ -305,6 +305,7 @@ TRAINING = (
 )
 
 
+@pytest.mark.slow
 def test_demonstrations_become_an_objective(distilled, tmp_path):
     demonstrations = (
         f"demonstrations.reward_model={distilled / 'reward_model'}",

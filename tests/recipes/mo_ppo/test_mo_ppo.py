@@ -474,6 +474,7 @@ def nothing(folder: Path, *overrides: str) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_learns_without_a_policy(tmp_path):
     folder = nothing(tmp_path / "run")
     policy = load_policy(folder / "policies" / "000000128")
