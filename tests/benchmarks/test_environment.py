@@ -212,6 +212,7 @@ def test_ratio_compares_within_a_repetition():
     assert speed_up(rates, other) == 2.0
 
 
+@pytest.mark.slow
 def test_script_prints_every_row(tmp_path):
     output = tmp_path / "runs" / "environment.csv"
     command = [sys.executable, "-m", "benchmarks.environment", "--sizes", "1", "2"]

@@ -63,6 +63,7 @@ def lesson(tmp_path_factory) -> tuple[Path, str]:
     return folder, result.stdout
 
 
+@pytest.mark.slow
 def test_it_leaves_a_policy_with_the_objective_of_the_drives(lesson):
     folder, printed = lesson
     policies = sorted((folder / "pd_morl" / "policies").iterdir())
@@ -70,6 +71,7 @@ def test_it_leaves_a_policy_with_the_objective_of_the_drives(lesson):
     assert f"try it: python -m recipes.demo --policy {folder}" in printed
 
 
+@pytest.mark.slow
 def test_it_compares_the_drives_with_those_of_every_objective(lesson):
     folder, printed = lesson
     numbers = json.loads((folder / "style.json").read_text())
@@ -80,6 +82,7 @@ def test_it_compares_the_drives_with_those_of_every_objective(lesson):
     assert "passes on the right 100 %" in printed
 
 
+@pytest.mark.slow
 def test_what_was_not_learned_is_said(lesson):
     """A training of a second has learned nothing, or passes on the right by chance."""
     folder, printed = lesson

@@ -58,6 +58,7 @@ def test_demo_leaves_pictures_and_a_film(policy, tmp_path):
 
 
 @needs_gl
+@pytest.mark.slow
 def test_a_film_of_another_scene(policy, tmp_path):
     film = tmp_path / "walking.gif"
     arguments = ("--policy", policy, "--scene", "moving_human", "--output", film)

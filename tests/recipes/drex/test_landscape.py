@@ -96,6 +96,7 @@ def model(tmp_path) -> Path:
     return tmp_path / "model"
 
 
+@pytest.mark.slow
 def test_from_the_command_line(model, tmp_path):
     output = tmp_path / "out"
     arguments = ("--policies", SHIPPED / "navigation", "--noise", "0.1", "0.2", "--episodes", "3")

@@ -120,6 +120,7 @@ def test_run_on_recorded_drives(distilled, file):
     load_policy(distilled / "behaviour_clone")
 
 
+@pytest.mark.slow
 def test_a_policy_learns_from_recorded_drives(distilled, tmp_path):
     """Training, evaluation and demo: no distance to a demonstration that nobody can drive again."""
     tiny = (
