@@ -539,7 +539,7 @@ def test_clones_demonstrations_first(tmp_path, demonstrated):
         elsewhere.append(policy.actor(inputs)["action"].square().mean().item())
     assert errors[1] < 0.02 < errors[0]
     # Where the style is not wished nothing is imitated.
-    assert max(elsewhere) < 0.03
+    assert max(elsewhere) < 0.06  # of the style: 0.16
 
 
 def test_the_noise_falls_geometrically():
