@@ -130,6 +130,7 @@ def test_one_seed_gives_one_reward_model(distilled, tmp_path):
     card = json.loads((other / "reward_model" / "reward_model.json").read_text())["card"]
     assert [name for name in card if name.startswith("held_out")] == [
         "held_out_accuracy noise pairs",
+        "held_out_accuracy path pairs",
         "held_out_accuracy per noise gap",
     ]
     assert list(card["style_contrast"]) == list(STYLES)

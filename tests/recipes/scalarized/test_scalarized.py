@@ -282,6 +282,7 @@ def test_what_is_not_specific_to_pd_morl_is_as_in_pd_morl(name):
     without_noise = {f"collector.{name}_sigma" for name in ("exploration", "final_exploration")}
     delayed = {"optim.policy_delay"}
     own = {"evaluation.refit_momentum", "network.straight_drive"}
+    own |= {"preference.slabs", "preference.relabel_copies"}
     own |= {"compute.compile", "compute.compile_mode", "compute.bfloat16"}
     assert alone <= own | (without_noise | delayed if name == "sac" else set())
 

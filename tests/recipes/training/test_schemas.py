@@ -365,7 +365,8 @@ def test_what_must_be_given_is_named(defaults):
     config = OmegaConf.to_container(OmegaConf.create(defaults["mo_ppo"]))
     with pytest.raises(ConfigurationError) as refused:
         validate(MO_PPO, change(config, {"policy": "???"}))
-    assert str(refused.value) == "policy must be given: Folder of the policy to start from."
+    meaning = "Folder of the policy to start from; null starts from nothing."
+    assert str(refused.value) == f"policy must be given: {meaning}"
 
 
 def test_a_logger_that_is_not_installed_says_what_to_install(defaults, monkeypatch):
