@@ -168,11 +168,6 @@ class Collector(Section):
     final_exploration_sigma: Positive = Field(
         description="The same at the end; between them it falls geometrically."
     )
-    exploration_share: float = Field(
-        gt=0,
-        le=1,
-        description="Share of the training after which noise and lambda are the final ones.",
-    )
 
 
 class ReplayBuffer(Section):

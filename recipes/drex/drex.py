@@ -63,12 +63,15 @@ def main(cfg: DictConfig) -> None:
         others = styles.other_styles(cfg, recorded) if cfg.style_negatives.rollouts else []
     with timeit("tracking"):
         # And to its noise: a learner disturbs whatever it drives.
-        wanted = cfg.tracking.rollouts > 0
-        tracked = tracking.tracked(cfg, recorded) if wanted else None
-        if tracked is not None and not (run_dir / tracking.FILE).exists():
-            with undisturbed():
-                save_demonstrations(run_dir / tracking.FILE, tracking.shown(tracked), metadata(cfg))
-        bulging = tracking.bulging(cfg, recorded) if wanted else None
+        tracked = bulging = None
+        if cfg.tracking.rollouts:
+            paths = tracking.demonstrated(cfg, recorded)
+            tracked, bulging = tracking.tracked(cfg, paths), tracking.bulging(cfg, paths)
+            if not (run_dir / tracking.FILE).exists():
+                with undisturbed():
+                    save_demonstrations(
+                        run_dir / tracking.FILE, tracking.shown(tracked), metadata(cfg)
+                    )
     with timeit("reward model"):
         snippets = ranking.ranked_snippets(cfg, noisy, others, tracked, bulging)
         model, scores = ranking.train_reward_model(

@@ -8,6 +8,7 @@ with a bulge under the same noise.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import torch
@@ -37,6 +38,20 @@ _DEVIATION = 0.12
 leaves the path by."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Paths:
+    """What is demonstrated."""
+
+    start: TensorDictBase
+    """Snapshots ``[N]`` of a :class:`~envs.NavigationEnv`."""
+    position: Tensor
+    """Metres, ``[N, L, 2]``."""
+    mask: Tensor
+    """Valid points, ``[N, L]``."""
+    arguments: dict[str, Any]
+    """Of the environment."""
+
+
 def disturbed(driver: TensorDictModuleBase, sigma: Tensor, seed: int) -> TensorDictSequential:
     """A driver whose actions in [-1, 1] carry normal noise and stay within those limits.
 
@@ -64,12 +79,11 @@ def drawn_sigma(cfg: DictConfig, count: int, generator: torch.Generator) -> Tens
 
 
 @torch.no_grad()
-def tracked(cfg: DictConfig, recorded: TensorDictBase | None = None) -> TensorDictBase:
+def tracked(cfg: DictConfig, paths: Paths) -> TensorDictBase:
     """The demonstrated paths under noise, trajectories ``[N, T]`` that reach the goal."""
-    start, path, mask, arguments = _shown(cfg, recorded)
     generator = torch.Generator().manual_seed(cfg.seed + _SEED)
-    sigma = drawn_sigma(cfg, len(path), generator)
-    data = _drive(cfg, start, path, mask, sigma, cfg.seed + _SEED, arguments)
+    sigma = drawn_sigma(cfg, len(paths.position), generator)
+    data = _drive(cfg, paths, paths.position, sigma, cfg.seed + _SEED)
     return data[succeeded(data)]
 
 
@@ -88,13 +102,12 @@ def shown(tracked: TensorDictBase) -> TensorDictBase:
 
 
 @torch.no_grad()
-def bulging(cfg: DictConfig, recorded: TensorDictBase | None = None) -> TensorDictBase:
+def bulging(cfg: DictConfig, paths: Paths) -> TensorDictBase:
     """Paths with a bulge under noise, trajectories ``[N, T]``.
 
     ``near`` marks the steps at which snippets of the bulge start.
     """
-    start, path, mask, arguments = _shown(cfg, recorded)
-    section, count = cfg.tracking, len(path)
+    section, count = cfg.tracking, len(paths.position)
     generator = torch.Generator().manual_seed(cfg.seed + _SEED + 1)
 
     def drawn(low: float, high: float) -> Tensor:
@@ -102,25 +115,44 @@ def bulging(cfg: DictConfig, recorded: TensorDictBase | None = None) -> TensorDi
 
     side = 2.0 * torch.randint(2, (count,), generator=generator) - 1.0
     other = bulge(
-        path,
-        mask,
+        paths.position,
+        paths.mask,
         height=side * drawn(*section.heights),
         width=drawn(*section.widths),
         place=drawn(0.1, 0.95),
     )
     sigma = drawn_sigma(cfg, count, generator)
-    data = _drive(cfg, start, other, mask, sigma, cfg.seed + _SEED + 1, arguments)
-    away = path.masked_fill(~mask.unsqueeze(-1), torch.inf)
-    deviation = torch.stack(
-        [
-            torch.cdist(one, two).amin(-1)
-            for one, two in zip(data["pose"][..., :2], away, strict=True)
-        ]
-    )
+    data = _drive(cfg, paths, other, sigma, cfg.seed + _SEED + 1)
+    away = deviation(data["pose"][..., :2], paths.position, paths.mask)
     # Where the middle of a snippet lies on the bulge.
     half = cfg.reward_model.snippet_length // 2
-    middle = F.pad(deviation, (0, half))[:, half:]
+    middle = F.pad(away, (0, half))[:, half:]
     return data.set("near", middle > _DEVIATION)
+
+
+def deviation(position: Tensor, path: Tensor, mask: Tensor) -> Tensor:
+    """Distance from where robots are to the nearest point of their path.
+
+    Args:
+        position: metres, ``[N, T, 2]``.
+        path: metres, ``[N, L, 2]``.
+        mask: valid points, ``[N, L]``.
+
+    Returns:
+        Metres, ``[N, T]``.
+
+    Examples:
+        >>> path, mask = (
+        ...     torch.tensor([[[0.0, 0.0], [1.0, 0.0], [9.0, 9.0]]]),
+        ...     torch.tensor([[1, 1, 0]]),
+        ... )
+        >>> deviation(torch.tensor([[[1.0, 0.5], [9.0, 9.0]]]), path, mask.bool())
+        tensor([[ 0.5000, 12.0416]])
+    """
+    # The matrix product of the other modes costs half the digits.
+    exact = "donot_use_mm_for_euclid_dist"
+    apart = torch.cdist(position, path.to(position), compute_mode=exact)
+    return apart.masked_fill(~mask.unsqueeze(-2), torch.inf).amin(-1)
 
 
 def bulge(path: Tensor, mask: Tensor, *, height: Tensor, width: Tensor, place: Tensor) -> Tensor:
@@ -163,10 +195,8 @@ def bulge(path: Tensor, mask: Tensor, *, height: Tensor, width: Tensor, place: T
     return path + (height.unsqueeze(-1) * curve * ends).unsqueeze(-1) * left
 
 
-def _shown(
-    cfg: DictConfig, recorded: TensorDictBase | None
-) -> tuple[TensorDictBase, Tensor, Tensor, dict[str, Any]]:
-    """Starts ``[N]``, what is demonstrated from there ``[N, L, 2]`` with its mask, and the environment.
+def demonstrated(cfg: DictConfig, recorded: TensorDictBase | None = None) -> Paths:
+    """What is demonstrated, and from where.
 
     Recorded drives take turns, without boxes. The scripted pattern is driven in scenes of its own, those
     in which no box blocks it.
@@ -175,7 +205,7 @@ def _shown(
     if recorded is not None:
         drives = recorded[torch.arange(count) % len(recorded)]
         start, arguments = started(cfg, drives)
-        return start, drives["pose"][..., :2], drives["mask"], arguments
+        return Paths(start, drives["pose"][..., :2], drives["mask"], arguments)
     arguments = simulated(cfg.env)
     starts, paths, found, seed = [], [], 0, cfg.seed + _SEED
     while found < count:
@@ -194,25 +224,17 @@ def _shown(
         torch.cat([_longer(path[key], longest) for path in paths])[:count]
         for key in ("position", "mask")
     )
-    return torch.cat(starts)[:count], position, mask, arguments
+    return Paths(torch.cat(starts)[:count], position, mask, arguments)
 
 
 def _longer(values: Tensor, steps: int) -> Tensor:
     """``[N, T, ...]`` with zeros behind, up to so many steps."""
-    return torch.cat(
-        (values, values.new_zeros(len(values), steps - values.shape[1], *values.shape[2:])), 1
+    return F.pad(values, (*(0, 0) * (values.ndim - 2), 0, steps - values.shape[1]))
+
+
+def _drive(cfg: DictConfig, paths: Paths, path: Tensor, sigma: Tensor, seed: int) -> TensorDictBase:
+    driver = PathDriver(path, paths.mask, cfg.env.robot, scaled=True)
+    arguments = {**cfg.env, **paths.arguments}
+    return rollouts(
+        disturbed(driver, sigma, seed), len(path), cfg.seed, start=paths.start, **arguments
     )
-
-
-def _drive(
-    cfg: DictConfig,
-    start: TensorDictBase,
-    path: Tensor,
-    mask: Tensor,
-    sigma: Tensor,
-    seed: int,
-    arguments: dict[str, Any],
-) -> TensorDictBase:
-    driver = PathDriver(path, mask, cfg.env.robot, scaled=True)
-    arguments = {**cfg.env, **arguments}
-    return rollouts(disturbed(driver, sigma, seed), len(path), cfg.seed, start=start, **arguments)

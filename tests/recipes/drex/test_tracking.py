@@ -45,7 +45,8 @@ def driven(request):
     recorded = None
     if request.param == "recorded":
         recorded = rollouts(demonstrator(cfg), 3, 3, **cfg.env)
-    return cfg, recorded, tracking.tracked(cfg, recorded), tracking.bulging(cfg, recorded)
+    paths = tracking.demonstrated(cfg, recorded)
+    return cfg, recorded, tracking.tracked(cfg, paths), tracking.bulging(cfg, paths)
 
 
 def test_drives_along_what_was_demonstrated(driven):
@@ -79,15 +80,17 @@ def test_shows_what_leads_back_to_the_path(driven):
 def test_bulges_start_where_the_path_is_left(driven):
     _, _, tracked, bulging = driven
     focused = bulging["near"] & bulging["mask"]
-    assert focused.any()
+    # All but those whose bulge is hardly wider than the tolerance, or lies at an end.
+    assert focused.any(-1).sum() >= len(bulging) - 1
     assert focused.sum() < bulging["mask"].sum() / 2
     assert "near" not in tracked.keys()
 
 
 def test_the_same_seed_drives_the_same(driven):
     cfg, recorded, tracked, bulging = driven
-    assert_close(tracking.tracked(cfg, recorded)["action"], tracked["action"])
-    assert_close(tracking.bulging(cfg, recorded)["action"], bulging["action"])
+    paths = tracking.demonstrated(cfg, recorded)
+    assert_close(tracking.tracked(cfg, paths)["action"], tracked["action"])
+    assert_close(tracking.bulging(cfg, paths)["action"], bulging["action"])
 
 
 def test_pairs_of_paths_are_a_source_of_their_own(driven):
