@@ -10,22 +10,20 @@ import gymnasium
 import mo_gymnasium  # noqa: F401, registers its environments
 from pydantic import AfterValidator, Field, model_validator
 
-from recipes.training import schema
+from recipes.training import ppo_schema, schema
 from recipes.training.fields import (
     Allows,
     Count,
-    CountOrNone,
     Decay,
     Device,
     Discount,
-    Distribution,
+    MayImport,
     Names,
     NotNegative,
     Positive,
     RunFolder,
     Section,
     Seed,
-    Share,
     Size,
 )
 
@@ -56,7 +54,10 @@ def _numbers(value: Any) -> Any:
 
 
 Environment = Annotated[
-    str, AfterValidator(_registered), Allows("an id of Gymnasium, module:Name-v0 with an import")
+    str,
+    AfterValidator(_registered),
+    Allows("an id of Gymnasium, module:Name-v0 with an import"),
+    MayImport(),
 ]
 Reference = Annotated[
     Any, AfterValidator(_numbers), Allows("a number, or a list of one for each objective")
@@ -136,32 +137,9 @@ class PDMORLConfig(Benchmark):
         return self
 
 
-class Compute(schema.Compute):
-    """With mixed precision."""
+class Collector(ppo_schema.Collector):
+    """With noise on continuous actions."""
 
-    bfloat16: bool | None = Field(
-        description="Mixed precision of the updates; null is where the processor multiplies bfloat16."
-    )
-
-
-class Preference(Section):
-    """How preferences are drawn."""
-
-    num_segments: Size | None = Field(
-        description="Groups of environments, each with its part of the simplex; null is one."
-    )
-    distribution: Distribution = Field(
-        description="Distribution from which every episode draws its preference."
-    )
-
-
-class Collector(Section):
-    """How experience is collected."""
-
-    total_frames: Count = Field(description="Steps of the whole training.")
-    frames_per_batch: int = Field(
-        ge=1, le=100_000_000, description="Steps between updates, over all environments."
-    )
     exploration_sigma: Positive = Field(
         description="Standard deviation of the noise on continuous actions, which are in [-1, 1]."
     )
@@ -170,48 +148,11 @@ class Collector(Section):
     )
 
 
-class ReplayBuffer(Section):
-    """How experience is kept."""
+class Loss(ppo_schema.Loss):
+    """With a reward of entropy."""
 
-    reward_scale: Positive = Field(description="Factor on the rewards; keeps returns within tens.")
-
-
-class Loss(Section):
-    """PPO's."""
-
-    gamma: Discount = Field(description="Discount of a step.")
-    lmbda: Share = Field(description="Lambda of generalized advantage estimation.")
-    final_lmbda: Share | None = Field(
-        description="The same at the end, between them it changes linearly; null: it stays."
-    )
-    level_preferences: bool = Field(
-        description="Whether advantages are divided by their usual size at a preference."
-    )
-    truncation_is_terminal: bool = Field(description="Whether returns end where the time is up.")
-    clip_epsilon: float = Field(
-        gt=0, lt=1, description="How far the likelihood of an action may move, as a share."
-    )
     entropy_coeff: NotNegative = Field(
         description="Reward of the entropy where actions are discrete; elsewhere the noise is fixed."
-    )
-
-
-class Optim(Section):
-    """How networks are updated."""
-
-    critic_batches: CountOrNone = Field(
-        description="Batches of frames at the start for the critic alone."
-    )
-    critic_epochs: Count = Field(description="Passes over each of those.")
-    epochs: Count = Field(description="Passes over each batch of frames after them.")
-    batch_size: Annotated[int, Allows("a whole number from 1 to collector.frames_per_batch")] = (
-        Field(description="Transitions of an update.")
-    )
-    lr: Positive = Field(description="Learning rate of the actor; falls to a twentieth.")
-    critic_lr: Positive = Field(description="Learning rate of the critic.")
-    max_grad_norm: Positive = Field(description="Where the norm of a gradient is cut.")
-    actor_average: Decay = Field(
-        description="What the averaged actor, which is saved, keeps of itself at an update."
     )
 
 
@@ -219,12 +160,12 @@ class MOPPOConfig(Benchmark):
     """MO-PPO."""
 
     algorithm: Literal["mo_ppo"] = Field(description="What trains; pd_morl has other fields.")
-    compute: Compute
-    preference: Preference
+    compute: ppo_schema.Compute
+    preference: ppo_schema.Preference
     collector: Collector
-    replay_buffer: ReplayBuffer
+    replay_buffer: ppo_schema.ReplayBuffer
     loss: Loss
-    optim: Optim
+    optim: ppo_schema.Optim
     evaluation: Evaluation
     logger: schema.Backends
 
@@ -232,11 +173,7 @@ class MOPPOConfig(Benchmark):
     def _fits_together(self) -> MOPPOConfig:
         frames = self.collector.frames_per_batch
         _check_envs(frames, self.num_envs, self.preference.num_segments)
-        if not 1 <= self.optim.batch_size <= frames:
-            raise ValueError(
-                "optim.batch_size must lie between 1 and collector.frames_per_batch, "
-                f"{frames}, got {self.optim.batch_size}."
-            )
+        ppo_schema.check_batch_size(self.optim.batch_size, frames)
         return self
 
 

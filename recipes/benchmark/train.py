@@ -13,17 +13,29 @@ from pathlib import Path
 import yaml
 from omegaconf import DictConfig
 
+from recipes.training import vector_td3
 from recipes.training.command import recipe
 
-from . import mo_ppo, pd_morl
+from . import mo_ppo
+from .lattice import LatticeEvaluation
 from .problem import make_problem
 from .schema import MOPPOConfig, PDMORLConfig
 
 
 @recipe("pd_morl", PDMORLConfig)
 def train_pd_morl(cfg: DictConfig) -> None:
-    """Train by PD-MORL, evaluate while training, and save the last and the best policy."""
-    pd_morl.train(cfg, make_problem(cfg))
+    """Train by PD-MORL, evaluate while training, and save the last and the best policy.
+
+    Raises:
+        ValueError: for discrete actions.
+    """
+    problem = make_problem(cfg)
+    if problem.num_actions is not None:
+        raise ValueError(
+            f"algorithm=pd_morl needs continuous actions, {cfg.env} has {problem.num_actions} to choose "
+            "from: give algorithm=mo_ppo."
+        )
+    vector_td3.train(cfg, problem, evaluation=LatticeEvaluation(cfg, problem))
 
 
 @recipe("mo_ppo", MOPPOConfig)

@@ -6,16 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from recipes.training import schema
+from recipes.training import ppo_schema, schema
 from recipes.training.fields import (
     Allows,
     Count,
     CountOrNone,
-    Decay,
     DemonstrationFile,
     Device,
-    Discount,
-    Distribution,
     NotNegative,
     Objectives,
     PolicyFolder,
@@ -28,7 +25,6 @@ from recipes.training.fields import (
     Section,
     Seed,
     Share,
-    Size,
 )
 
 
@@ -39,14 +35,6 @@ def _some_noise(sigma: list[float]) -> list[float]:
             f"compare, got {sigma}."
         )
     return sigma
-
-
-class Compute(schema.Compute):
-    """With mixed precision."""
-
-    bfloat16: bool | None = Field(
-        description="Mixed precision of the updates; null is where the processor multiplies bfloat16."
-    )
 
 
 class Env(schema.Env):
@@ -105,26 +93,9 @@ class Demonstrations(Section):
         return self
 
 
-class Preference(Section):
-    """How preferences are drawn."""
+class Collector(ppo_schema.Collector):
+    """With noise on each entry of the action."""
 
-    num_segments: Size | None = Field(
-        description="Groups of environments, each with its part of the simplex; null is one."
-    )
-    distribution: Distribution = Field(
-        description="Distribution from which every episode draws its preference."
-    )
-
-
-class Collector(Section):
-    """How experience is collected."""
-
-    total_frames: Count = Field(
-        description="Steps of the whole training; the last batch is a whole one."
-    )
-    frames_per_batch: int = Field(
-        ge=1, le=100_000_000, description="Steps between updates, over all environments."
-    )
     exploration_sigma: Annotated[
         list[float], AfterValidator(_some_noise), Allows("two positive numbers")
     ] = Field(
@@ -135,29 +106,9 @@ class Collector(Section):
     ] = Field(description="The same at the end; between them it falls geometrically.")
 
 
-class ReplayBuffer(Section):
-    """How experience is kept."""
+class Loss(ppo_schema.Loss):
+    """With what the actor pays for beside its returns."""
 
-    reward_scale: Positive = Field(description="Factor on the rewards; keeps returns within tens.")
-
-
-class Loss(Section):
-    """PPO's, and what the actor pays for beside its returns."""
-
-    gamma: Discount = Field(description="Discount of a step of 0.2 s.")
-    lmbda: Share = Field(description="Lambda of generalized advantage estimation.")
-    final_lmbda: Share | None = Field(
-        description="The same at the end, linearly between them; null is no change."
-    )
-    level_preferences: bool = Field(
-        description="Whether advantages are divided by their usual size at a preference."
-    )
-    truncation_is_terminal: bool = Field(
-        description="Whether returns end where the time is up, as in the training."
-    )
-    clip_epsilon: float = Field(
-        gt=0, lt=1, description="How far the likelihood of an action may move, as a share."
-    )
     anchor_coeff: NotNegative = Field(
         description="Cost of leaving the policy at the start, where the style is preferred."
     )
@@ -185,28 +136,14 @@ class Loss(Section):
         return self
 
 
-class Optim(Section):
-    """How networks are updated."""
+class Optim(ppo_schema.Optim):
+    """With cloning, and penalties on a part of a batch."""
 
     cloning_updates: CountOrNone = Field(
         description="Updates of behaviour cloning before everything else, of a training from nothing."
     )
-    critic_batches: CountOrNone = Field(
-        description="Batches of frames at the start for the critic alone."
-    )
-    critic_epochs: Count = Field(description="Passes over each of those.")
-    epochs: Count = Field(description="Passes over each batch of frames after them.")
-    batch_size: Annotated[int, Allows("a whole number from 1 to collector.frames_per_batch")] = (
-        Field(description="Transitions of an update.")
-    )
     penalty_batch_size: Count = Field(
         description="Transitions of an update that anchor and smoothness are taken of."
-    )
-    lr: Positive = Field(description="Learning rate of the actor; falls to a twentieth.")
-    critic_lr: Positive = Field(description="Learning rate of the critic.")
-    max_grad_norm: Positive = Field(description="Where the norm of a gradient is cut.")
-    actor_average: Decay = Field(
-        description="What the averaged actor, which is saved, keeps of itself at an update."
     )
 
 
@@ -229,12 +166,12 @@ class Config(Section):
     )
     seed: Seed = Field(description="Seed of networks, environments and preferences.")
     device: Device = Field(description="Where networks are trained.")
-    compute: Compute
+    compute: ppo_schema.Compute
     env: Env
     demonstrations: Demonstrations
-    preference: Preference
+    preference: ppo_schema.Preference
     collector: Collector
-    replay_buffer: ReplayBuffer
+    replay_buffer: ppo_schema.ReplayBuffer
     network: schema.Network
     loss: Loss
     optim: Optim
@@ -246,9 +183,5 @@ class Config(Section):
         frames = self.collector.frames_per_batch
         schema.check_batches(frames, self.env.num_envs)
         schema.check_segments(self.preference.num_segments, self.env.num_envs)
-        if not 1 <= self.optim.batch_size <= frames:
-            raise ValueError(
-                "optim.batch_size must lie between 1 and collector.frames_per_batch, "
-                f"{frames}, got {self.optim.batch_size}."
-            )
+        ppo_schema.check_batch_size(self.optim.batch_size, frames)
         return self

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from .fields import Allows, IsPath
+from .fields import Allows, IsPath, MayImport
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,6 +40,11 @@ class Leaf:
     def is_mapping(self) -> bool:
         """If its keys are the user's."""
         return get_origin(_unwrap(self.field.annotation, ())[0]) is dict
+
+    @property
+    def may_import(self) -> bool:
+        """If a value with a colon imports a module."""
+        return any(isinstance(one, MayImport) for one in _metadata(self.field))
 
     @property
     def path(self) -> IsPath | None:

@@ -34,7 +34,7 @@ from pydantic import BaseModel
 
 from . import quiet, run_folder, stopping
 from .command_help import help_text
-from .overrides import jobs, prepared, resumed
+from .overrides import importing, jobs, prepared, resumed
 from .stopping import Stopped, stop_requested, undisturbed, until_stopped
 from .user_errors import error_line
 from .validation import ConfigurationError, validate
@@ -191,8 +191,10 @@ class _Command:
             return None
         if not (self.run_dir / ".hydra").is_dir():
             return None
-        # The folder knows its configuration.
-        return shlex.join(["python", "-m", self.module, f"resume={_shown(self.run_dir)}"])
+        # The folder knows its configuration, but for what it must not say.
+        imports = importing(self.overrides, self.schema)
+        resume = f"resume={_shown(self.run_dir)}"
+        return shlex.join(["python", "-m", self.module, resume, *dict.fromkeys(imports)])
 
     def _run(self, arguments: Sequence[str]) -> None:
         if {"-h", "--help"} & set(arguments):

@@ -30,6 +30,11 @@ class Allows:
 
 
 @dataclasses.dataclass(frozen=True)
+class MayImport:
+    """A value with a colon imports a module: the user says so, no folder that somebody else has made."""
+
+
+@dataclasses.dataclass(frozen=True)
 class IsPath:
     """The field is a path; if there is a ``kind``, something of that kind must be there.
 

@@ -103,6 +103,8 @@ def train(
         checkpoints.load()
         check_frames_left(cfg, count.frames)
     schedule = make_schedule(cfg, optimizers["actor"], count.frames, count.begin)
+    if sigma is not None:
+        sigma.copy_(noise(cfg, count.frames))
     # Nothing is written before the configuration has been accepted.
     write_run_info(problem.run_dir)
     loggers = logs.make_loggers(cfg, problem.run_dir, begin=count.frames)

@@ -111,9 +111,24 @@ def resumed(overrides: Sequence[str], schema: type[BaseModel], folder: Path) -> 
         kept = prepared(kept, schema, folder)
     except ConfigurationError as error:
         raise ConfigurationError(f"{file}: {error}") from error
-    kept = [one for one in kept if one.partition("=")[0].lstrip("+") != "resume"]
+    given = {_key(one) for one in overrides}
+    if asks := [one for one in importing(kept, schema) if _key(one) not in given]:
+        raise ConfigurationError(
+            f"{file}: {asks[0]} imports a module, which is not taken from a folder; give it yourself."
+        )
+    kept = [one for one in kept if _key(one) != "resume"]
     place = () if any(one.startswith("hydra.run.dir=") for one in overrides) else (run,)
     return [*kept, *overrides, *(f"hydra.run.dir={quoted(one)}" for one in place)]
+
+
+def importing(overrides: Sequence[str], schema: type[BaseModel]) -> list[str]:
+    """The overrides that import a module, such as ``env=module:Name-v0``."""
+    names = {leaf.name for leaf in leaves(schema) if leaf.may_import}
+    return [one for one in overrides if _key(one) in names and ":" in one]
+
+
+def _key(override: str) -> str:
+    return override.partition("=")[0].lstrip("+~")
 
 
 def _groups(folder: Path) -> set[str]:

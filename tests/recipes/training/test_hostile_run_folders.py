@@ -10,6 +10,7 @@ import yaml
 
 import recipes
 from recipes import stages
+from recipes.benchmark.schema import PDMORLConfig
 from recipes.pd_morl.schema import Config
 from recipes.stages import Record
 from recipes.training.overrides import prepared, resumed
@@ -34,6 +35,22 @@ def test_what_a_run_was_configured_with_is_taken(tmp_path):
     folder = run_folder(tmp_path / "run", *given, "resume=elsewhere")
     asked = prepared([f"resume={folder}", "seed=4"], Config, FOLDER)
     assert resumed(asked, Config, FOLDER) == [*given, *asked, f"hydra.run.dir={folder}"]
+
+
+@pytest.mark.parametrize("quotes", ["", "'"])
+def test_a_module_is_imported_when_the_user_says_so(quotes, tmp_path, monkeypatch):
+    """A run folder may hold Python files: from the current folder they can be imported."""
+    monkeypatch.chdir(tmp_path)
+    benchmark = Path(recipes.__file__).parent / "benchmark"
+    env = f"env={quotes}runs.theirs.evil:Evil-v0{quotes}"
+    folder = run_folder(tmp_path / "runs" / "theirs", env, "seed=3")
+    (folder / "evil.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    asked = prepared([f"resume={folder}"], PDMORLConfig, benchmark)
+    with pytest.raises(ConfigurationError, match=r"imports a module, .*; give it yourself"):
+        resumed(asked, PDMORLConfig, benchmark)
+    assert not (tmp_path / "ran").exists()
+    asked = prepared([f"resume={folder}", "env=mo-hopper-v5"], PDMORLConfig, benchmark)
+    assert resumed(asked, PDMORLConfig, benchmark)[-3:-1] == asked
 
 
 @pytest.mark.parametrize(

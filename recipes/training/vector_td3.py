@@ -1,4 +1,7 @@
-"""PD-MORL: one TD3 agent with vector values, trained over all preferences at once."""
+"""PD-MORL: one TD3 agent with vector values, trained over all preferences at once.
+
+Method of Basaklar et al. (https://arxiv.org/abs/2208.07914), on navigation and on any other problem.
+"""
 
 from __future__ import annotations
 
@@ -9,35 +12,36 @@ from torch import Tensor
 from torchrl._utils import timeit
 from torchrl.objectives import SoftUpdate
 
-from recipes.training import off_policy
-from recipes.training.agent import make_averaged, make_policy
-from recipes.training.evaluation import Result
-from recipes.training.gradients import make_gradients
-from recipes.training.loss import make_loss, pre_tanh_coeff
-from recipes.training.optimizers import make_optimizers
-from recipes.training.replay import make_replay_buffer
-
-from .lattice import LatticeEvaluation
-from .problem import BenchmarkProblem
+from . import off_policy
+from .agent import make_averaged, make_policy
+from .evaluation import Evaluation, Problem, Result
+from .gradients import make_gradients
+from .loss import make_loss, pre_tanh_coeff
+from .optimizers import make_optimizers
+from .replay import make_replay_buffer
 
 
-def train(cfg: DictConfig, problem: BenchmarkProblem) -> None:
-    """Train as :mod:`recipes.pd_morl.pd_morl` does.
+def train(cfg: DictConfig, problem: Problem, *, evaluation: Evaluation) -> None:
+    """Train, evaluate while training, and save the last and the best policy.
+
+    Args:
+        cfg: the configuration.
+        problem: where and for what it is trained.
+
+    Keyword Args:
+        evaluation: judges the policy, and saves it.
 
     Raises:
-        ValueError: for discrete actions.
+        Stopped: where somebody has, see :mod:`.command`.
     """
-    if problem.num_actions is not None:
-        raise ValueError(
-            f"algorithm=pd_morl needs continuous actions, {cfg.env} has {problem.num_actions} to choose "
-            "from: give algorithm=mo_ppo."
-        )
+    # The agent: an actor and twin critics that read the preference, one value per objective.
     actor, policy = make_policy(cfg, problem)
     loss = make_loss(cfg, problem, actor)
     critic_gradients, actor_gradients = make_gradients(cfg, loss)
     target_updater = SoftUpdate(loss, eps=cfg.optim.polyak)
     averaged = make_averaged(cfg, actor)
     optimizers, schedulers = make_optimizers(cfg, loss)
+    # Sampling replaces the preference of most transitions (hindsight).
     replay_buffer = make_replay_buffer(cfg, problem)
 
     def update(batch: TensorDictBase, updates: int, frames: int) -> dict[str, Tensor]:
@@ -59,6 +63,7 @@ def train(cfg: DictConfig, problem: BenchmarkProblem) -> None:
         loss.pre_tanh_coeff = pre_tanh_coeff(cfg, frames)
 
     def refit_interpolator(result: Result) -> None:
+        # The returns at the corner preferences are its key solutions.
         loss.interpolator.refit(result.key_solutions, cfg.evaluation.refit_momentum)
 
     off_policy.train(
@@ -70,7 +75,7 @@ def train(cfg: DictConfig, problem: BenchmarkProblem) -> None:
         update,
         schedulers,
         state={"loss": loss, "averaged": averaged, **optimizers, **schedulers},
-        evaluation=LatticeEvaluation(cfg, problem),
+        evaluation=evaluation,
         after_updates=decay_pre_tanh_penalty,
         after_evaluation=refit_interpolator,
     )
