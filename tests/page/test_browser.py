@@ -12,8 +12,6 @@ import pytest
 
 from envs.demonstrations import import_demonstrations
 
-pytestmark = pytest.mark.slow  # minutes on two cores
-
 SHOWCASE = "#scene=showcase&policy=navigation&person=stands"
 
 

@@ -20,8 +20,6 @@ viser = pytest.importorskip("viser", reason="viser is not installed: group live"
 
 from recipes.live.view import LiveView, on_floor  # noqa: E402
 
-pytestmark = pytest.mark.slow  # minutes on two cores
-
 
 @pytest.fixture(scope="module")
 def view():
@@ -30,7 +28,7 @@ def view():
         port = free.getsockname()[1]
     policy = load_policy(SHIPPED_POLICY)
     setting = Setting(get_scene("showcase"), trained_in(policy.card).robot)
-    simulation = LiveSimulation(policy, setting, setting.scene, seed=7)
+    simulation = LiveSimulation(policy, setting, seed=7)
     server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
     yield LiveView(server, simulation)
     server.stop()
