@@ -64,6 +64,12 @@ def on_floor(page, x: float, y: float) -> list[float]:
     return page.evaluate(code, [x, y])
 
 
+def copied(page) -> str:
+    """The state, in the part of the link behind ``#``."""
+    page.locator("#link").click()
+    return page.evaluate("location.hash")
+
+
 def corners(page) -> list[tuple[float, float]]:
     """Of the triangle in the window, pixels: demonstration, distance, efficiency."""
     frame = page.locator("#triangle canvas").bounding_box()
@@ -108,7 +114,7 @@ def test_the_robot_answers_to_the_person(opened):
     # It was to pass on the left of the person; now there is more room on the right.
     assert beside(before) > 0.4
     assert beside(after) < 0.2
-    assert "human=4.5" in page.evaluate("location.hash")
+    assert "human=4.5" in copied(page)
 
 
 def beside(path: np.ndarray) -> float:
@@ -136,6 +142,7 @@ def test_previews_show_where_each_corner_would_go(opened):
     nearest = [min(math.hypot(x - 4.5, y) for x, y in way["points"]) for way in ways]
     assert nearest[1] > nearest[0] + 0.3  # far from the person
     assert nearest[1] > nearest[2] + 0.3
+    assert page.evaluate("page.previews.names[1]") in ways[1]["points"]
     # The broad line is where it goes, and follows the dot also while all stands still.
     page.evaluate("page.session.playing = false")
     drag(page, corners(page)[2], corners(page)[1])
@@ -176,7 +183,7 @@ def test_a_link_carries_the_state(opened):
     page.keyboard.press("Escape")
     page.evaluate("page.session.move('goal', 7, 1)")
     page.locator("#weights input").nth(1).fill("60")
-    link = page.evaluate("location.hash")
+    link = copied(page)
     # People who walk are for the policy that was trained with them.
     assert "policy=moving_humans" in link
     code = "[page.session.scene, page.session.policyName, page.session.preference.map((w) => Math.round(1000 * w))]"

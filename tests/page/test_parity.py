@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ ENDINGS = {"success": "goal", "collision_human": "human", "collision_obstacle": 
 pytestmark = needs_node
 
 
+@functools.cache
 def job(name: str) -> dict:
     """What the page holds of a policy, and where its weights lie."""
     page = contents([POLICIES / name], ["showcase"])
