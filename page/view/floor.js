@@ -41,7 +41,9 @@ export class Floor {
     const high = [Math.max(...xs) + MARGIN.x, Math.max(...ys) + MARGIN.y];
     const middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
     const size = [high[0] - low[0], Math.max(high[1] - low[1], LEAST_HEIGHT)];
-    this.scale = Math.min(this.width / size[0], this.height / size[1]);
+    // The numbers lie above the scene, not on it.
+    this.top = this.width < 520 ? 44 : 56;
+    this.scale = Math.min(this.width / size[0], (this.height - this.top) / size[1]);
     this.middle = middle;
   }
 
@@ -49,7 +51,7 @@ export class Floor {
   at([x, y]) {
     return [
       this.width / 2 + this.scale * (x - this.middle[0]),
-      this.height / 2 - this.scale * (y - this.middle[1]),
+      (this.height + this.top) / 2 - this.scale * (y - this.middle[1]),
     ];
   }
 
@@ -60,7 +62,7 @@ export class Floor {
     const y = Math.min(Math.max(py, edge), this.height - edge);
     return [
       this.middle[0] + (x - this.width / 2) / this.scale,
-      this.middle[1] - (y - this.height / 2) / this.scale,
+      this.middle[1] - (y - (this.height + this.top) / 2) / this.scale,
     ];
   }
 
@@ -178,7 +180,7 @@ export class Floor {
       const color = css(theme.corners[corner]);
       if (place) this.#mark(...this.at(place), MARKS[corner % MARKS.length], color);
     });
-    const taken = [[0, 0, this.width, this.width < 520 ? 44 : 56]];
+    const taken = [[0, 0, this.width, this.top]];
     const found = names.filter(Boolean);
     for (const [x, y] of found.map((place) => this.at(place))) {
       taken.push([x - 8, y - 8, x + 8, y + 8]);

@@ -220,6 +220,11 @@ def test_it_fits_the_window_and_follows_the_scheme(opened, width, scheme):
     page = opened(width=width, color_scheme=scheme, has_touch=width < 400)
     assert page.evaluate("document.documentElement.scrollWidth") == width
     assert page.evaluate("document.documentElement.dataset.theme") == scheme
+    # The scene lies below the numbers on it.
+    numbers = page.locator("#numbers").bounding_box()
+    for name in ("[s.body.x, s.body.y]", "s.goal", "s.human"):
+        x, y = page.evaluate(f"(() => {{ const s = page.session.episode; return {name}; }})()")[:2]
+        assert on_floor(page, x, y)[1] > numbers["y"] + numbers["height"]
     # The floor and the whole triangle are seen at once on a phone of 844 points.
     frame = page.locator("#triangle").bounding_box()
     assert frame["y"] + frame["height"] < 844
