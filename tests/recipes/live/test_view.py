@@ -47,6 +47,15 @@ def test_the_robot_is_shown_where_it_is(view):
     assert "to the person" in view.numbers
 
 
+def test_another_seed_shows_another_scene_and_no_old_ways(view):
+    live.serve(view, view.simulation, seconds=0.5)
+    assert view.things("path")
+    view.again(9)
+    assert (view.simulation.seed, view.simulation.seconds) == (9, 0.0)
+    assert not view.things("path") and not view.things("way")
+    assert len(view.things("box")) == len(view.simulation.boxes)
+
+
 def test_a_weight_changes_the_others(view):
     view.weigh(1, 1.0)
     view.handle()
