@@ -2,11 +2,10 @@
 //   python -m recipes.page && node benchmarks/page.mjs runs/page/index.html
 import { readFileSync } from "node:fs";
 
+import { contentsOf } from "../page/contents.js";
 import { Session } from "../page/view/session.js";
 
-const page = readFileSync(process.argv[2], "utf8");
-const [, contents] = page.match(/<script type="application\/json" id="contents">(.*?)<\/script>/s);
-const session = new Session(JSON.parse(contents));
+const session = new Session(contentsOf(readFileSync(process.argv[2], "utf8")));
 session.select("static", 12);
 
 const times = { sense: [], policy: [], step: [] };

@@ -2,6 +2,7 @@
 //   python -m recipes.page && node examples/drive_the_page.mjs runs/page/index.html 10 > drives.csv
 import { readFileSync } from "node:fs";
 
+import { contentsOf } from "../page/contents.js";
 import { Drives } from "../page/recording/drives.js";
 import { Hand } from "../page/recording/hand.js";
 import { Session } from "../page/view/session.js";
@@ -10,8 +11,7 @@ const BERTH = 1.5; // metres
 const AHEAD = 0.7; // metres from the robot to where the hand points
 
 const [file, count = "10"] = process.argv.slice(2);
-const page = readFileSync(file, "utf8");
-const contents = JSON.parse(page.match(/<script type="application\/json" id="contents">(.*?)<\/script>/s)[1]);
+const contents = contentsOf(readFileSync(file, "utf8"));
 
 const session = new Session(contents);
 const hand = new Hand();

@@ -35,7 +35,14 @@ function start() {
     byId("verdict").hidden = !text;
     if (text) announce(text);
   };
+  // Browsers refuse an address that changes with every move of a pointer.
+  let toWrite;
   const remember = () => {
+    clearTimeout(toWrite);
+    toWrite = setTimeout(writeAddress, 300);
+  };
+  const writeAddress = () => {
+    clearTimeout(toWrite);
     const { sceneName: scene, seed, preference, policyName: policy, motion, moved } = session;
     const text = encode({ scene, seed, preference, policy, motion, moved });
     window.history.replaceState(null, "", `#${text}`);
@@ -106,7 +113,7 @@ function start() {
       ask();
     },
   });
-  wire({ session, floor, hand, recorder, weights, follow, showPlay, ask, announce, dark, paint });
+  wire({ session, floor, hand, recorder, weights, follow, showPlay, ask, announce, dark, paint, writeAddress });
 
   const known = {
     scenes: contents.scenes,
@@ -166,7 +173,7 @@ function start() {
 }
 
 /** Buttons, lists and keys. */
-function wire({ session, floor, hand, recorder, weights, follow, showPlay, ask, announce, dark, paint }) {
+function wire({ session, floor, hand, recorder, weights, follow, showPlay, ask, announce, dark, paint, writeAddress }) {
   const on = (id, event, action) => byId(id).addEventListener(event, action);
   const play = () => {
     session.playing = !session.playing;
@@ -207,6 +214,7 @@ function wire({ session, floor, hand, recorder, weights, follow, showPlay, ask, 
   }
   on("show-numbers", "change", (event) => (byId("numbers").hidden = !event.target.checked));
   on("link", "click", async () => {
+    writeAddress();
     try {
       await navigator.clipboard.writeText(window.location.href);
       byId("link").textContent = "Copied";

@@ -1,11 +1,6 @@
 // A policy of torchrl_morl.deploy: its safetensors, its features and its network.
 import { sectors } from "./lidar.js";
 
-/** The bytes of a base64 text. */
-export function bytes(base64) {
-  return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
-}
-
 /**
  * Tensors of a safetensors file by name: { shape, values }. Only float32, which shipped policies are.
  *
@@ -98,4 +93,15 @@ export class Policy {
       Math.fround((high + low) / 2 + ((high - low) / 2) * action[entry]),
     );
   }
+}
+
+// The bytes of a base64 text.
+function bytes(base64) {
+  return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+}
+
+/** Policies of a page by name, ready to act; `entries` is what the page holds of them. */
+export function readPolicies(entries) {
+  const read = ([name, entry]) => [name, new Policy(entry, bytes(entry.weights))];
+  return Object.fromEntries(Object.entries(entries).map(read));
 }

@@ -11,9 +11,6 @@ export function dragOnFloor(floor, session, { hand, driving, onMoved, announce }
     const frame = canvas.getBoundingClientRect();
     return [event.clientX - frame.left, event.clientY - frame.top];
   };
-  const move = (name, spot) => {
-    session.move(name, ...(name === "human" ? session.standable(...spot) : spot));
-  };
 
   canvas.addEventListener("pointerdown", (event) => {
     const [px, py] = place(event);
@@ -42,7 +39,7 @@ export function dragOnFloor(floor, session, { hand, driving, onMoved, announce }
       return;
     }
     const [x, y] = floor.metres(px, py);
-    move(held.name, [x + held.offset[0], y + held.offset[1]]);
+    session.move(held.name, x + held.offset[0], y + held.offset[1]);
     onMoved();
   });
   for (const end of ["pointerup", "pointercancel"]) {
@@ -80,7 +77,7 @@ export function dragOnFloor(floor, session, { hand, driving, onMoved, announce }
     else if (floor.selected && event.key in ARROWS) {
       const [dx, dy] = ARROWS[event.key].map((one) => one * (event.shiftKey ? 5 : 1) * STEP);
       const [x, y] = whereIs(session, floor.selected);
-      move(floor.selected, floor.metres(...floor.at([x + dx, y + dy])));
+      session.move(floor.selected, ...floor.metres(...floor.at([x + dx, y + dy])));
       onMoved();
     } else return;
     event.preventDefault();

@@ -41,7 +41,9 @@ export class Floor {
     const high = [Math.max(...xs) + MARGIN.x, Math.max(...ys) + MARGIN.y];
     const middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
     const size = [high[0] - low[0], Math.max(high[1] - low[1], LEAST_HEIGHT)];
-    this.scale = Math.min(this.width / size[0], this.height / size[1]);
+    // The numbers lie above the scene, not on it.
+    this.top = this.width < 520 ? 44 : 56;
+    this.scale = Math.min(this.width / size[0], (this.height - this.top) / size[1]);
     this.middle = middle;
   }
 
@@ -49,7 +51,7 @@ export class Floor {
   at([x, y]) {
     return [
       this.width / 2 + this.scale * (x - this.middle[0]),
-      this.height / 2 - this.scale * (y - this.middle[1]),
+      (this.height + this.top) / 2 - this.scale * (y - this.middle[1]),
     ];
   }
 
@@ -60,7 +62,7 @@ export class Floor {
     const y = Math.min(Math.max(py, edge), this.height - edge);
     return [
       this.middle[0] + (x - this.width / 2) / this.scale,
-      this.middle[1] - (y - this.height / 2) / this.scale,
+      this.middle[1] - (y - (this.height + this.top) / 2) / this.scale,
     ];
   }
 
@@ -154,7 +156,7 @@ export class Floor {
     for (let from = 0; from < trail.length - 1; ) {
       let to = from + 1;
       while (to < trail.length - 1 && trail[to + 1].preference === trail[to].preference) to++;
-      const { preference } = trail[from + 1].preference === undefined ? trail[from] : trail[from + 1];
+      const { preference } = trail[from + 1];
       const color = preference ? css(mixture(preference, theme.corners)) : theme.quiet;
       const part = trail.slice(from, to + 1).map(({ x, y }) => [x, y]);
       this.line(part, color, alpha === 1 ? 4.5 : 3, [], alpha);
@@ -162,7 +164,7 @@ export class Floor {
     }
   }
 
-  #previews({ ways, own }, pose) {
+  #previews({ ways, names, own }, pose) {
     const { theme } = this;
     if (own) {
       const color = css(mixture(this.session.preference, theme.corners));
@@ -174,18 +176,17 @@ export class Floor {
       this.line(ahead, theme.casing, 5, DASHES[corner % DASHES.length], 0.55);
       this.line(ahead, color, 3, DASHES[corner % DASHES.length]);
     });
-    const marks = ways.map(({ points }, corner) => this.#furthest(points, ways, corner));
-    marks.forEach((place, corner) => {
+    names.forEach((place, corner) => {
       const color = css(theme.corners[corner]);
       if (place) this.#mark(...this.at(place), MARKS[corner % MARKS.length], color);
     });
-    const taken = [[0, 0, this.width, this.width < 520 ? 44 : 56]];
-    const found = marks.filter(Boolean);
+    const taken = [[0, 0, this.width, this.top]];
+    const found = names.filter(Boolean);
     for (const [x, y] of found.map((place) => this.at(place))) {
       taken.push([x - 8, y - 8, x + 8, y + 8]);
     }
     const middle = found.reduce((sum, [, y]) => sum + y / found.length, 0);
-    marks.forEach((place, corner) => {
+    names.forEach((place, corner) => {
       if (place) this.#label(this.labels[corner], this.at(place), place[1] >= middle, taken);
     });
   }
@@ -209,26 +210,6 @@ export class Floor {
       c.fillText(text, left, line);
       return;
     }
-  }
-
-  // Where a way lies furthest from the others: there it gets its name.
-  #furthest(points, ways, corner) {
-    let best = null;
-    let most = 0.22;
-    for (const point of points.slice(4)) {
-      let least = Infinity;
-      ways.forEach(({ points: others }, index) => {
-        if (index === corner) return;
-        for (const other of others) {
-          least = Math.min(least, Math.hypot(point[0] - other[0], point[1] - other[1]));
-        }
-      });
-      if (least > most) {
-        most = least;
-        best = point;
-      }
-    }
-    return best;
   }
 
   #mark(x, y, mark, color) {

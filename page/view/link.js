@@ -2,13 +2,13 @@
 
 const MOTIONS = ["stands", "walks", "crosses"];
 
-function numbers(text, count) {
-  const values = text.split(",").map(Number);
-  const fine = values.length === count && text.trim() !== "" && values.every(Number.isFinite);
-  return fine ? values : null;
+// Nothing between two commas is no number, whatever Number says of it.
+function numbers(text) {
+  const values = text.split(",").map((one) => (one.trim() ? Number(one) : NaN));
+  return values.every(Number.isFinite) ? values : null;
 }
 
-/** What a session is set to, as text: only what differs from what it starts with. */
+/** What a session is set to, as text. */
 export function encode(state) {
   const out = new URLSearchParams();
   out.set("scene", state.scene);
@@ -37,14 +37,14 @@ export function decode(text, known) {
     else if (name === "policy" && Object.hasOwn(known.policies, value)) state.policy = value;
     else if (name === "person" && MOTIONS.includes(value)) state.motion = value;
     else if (name === "weights") {
-      const weights = value.split(",").map(Number);
-      const total = weights.reduce((sum, one) => sum + one, 0);
-      if (total > 0 && weights.every((one) => Number.isFinite(one) && one >= 0)) {
+      const weights = numbers(value);
+      const total = weights?.reduce((sum, one) => sum + one, 0);
+      if (total > 0 && weights.every((one) => one >= 0)) {
         state.preference = weights.map((one) => one / total);
       } else refuse();
     } else if (/^(human|goal|box\d)$/.test(name)) {
-      const place = numbers(value, 2);
-      if (place && place.every((one) => Math.abs(one) <= 20)) state.moved[name] = place;
+      const place = numbers(value);
+      if (place?.length === 2 && place.every((one) => Math.abs(one) <= 20)) state.moved[name] = place;
       else refuse();
     } else refuse();
   }

@@ -3,24 +3,16 @@ import { demonstratedPath } from "../simulation/demonstration.js";
 import { CONTROL_PERIOD } from "../simulation/drive.js";
 import { Episode, HUMAN_RADIUS } from "../simulation/episode.js";
 import { Frechet } from "../simulation/frechet.js";
-import { Policy, bytes } from "../simulation/policy.js";
+import { readPolicies } from "../simulation/policy.js";
 
 const WALKING_SPEED = 0.5;
 const CROSSING = 2.5; // metres to either side
 const MOST_GHOSTS = 6;
 
-/** Policies of a page by name, ready to act. */
-export function readPolicies(contents) {
-  const entries = Object.entries(contents.policies);
-  return Object.fromEntries(
-    entries.map(([name, entry]) => [name, new Policy(entry, bytes(entry.weights))]),
-  );
-}
-
 export class Session {
   constructor(contents) {
     this.contents = contents;
-    this.policies = readPolicies(contents);
+    this.policies = readPolicies(contents.policies);
     this.policyName = Object.keys(contents.policies)[0];
     this.preference = this.policy.tunable.map(() => 1 / this.policy.tunable.length);
     this.playing = true;
@@ -83,16 +75,16 @@ export class Session {
   }
 
   setPolicy(name) {
-    const before = this.policy.tunable;
-    this.policyName = name;
-    if (before.join() !== this.policy.tunable.join()) {
-      this.preference = this.policy.tunable.map(() => 1 / this.policy.tunable.length);
-    }
+    this.#use(name);
     this.#edited();
   }
 
-  /** Put "human", "goal" or "box0" to a place, in this episode and in those after it. */
-  move(name, x, y) {
+  /**
+   * Put "human", "goal" or "box0" to a place, in this episode and in those after it; a person who would
+   * touch the robot beside it.
+   */
+  move(name, ...place) {
+    const [x, y] = name === "human" ? this.#standable(...place) : place;
     this.moved[name] = [x, y];
     const { episode } = this;
     if (name === "goal") episode.goal = [x, y];
@@ -139,11 +131,8 @@ export class Session {
   }
 
   restart() {
-    const trail = this.trail;
-    this.ghosts ??= [];
-    if (trail?.length > 8 && this.ghostsOf === this.#place()) {
-      this.ghosts = [...this.ghosts, trail].slice(-MOST_GHOSTS);
-    } else if (this.ghostsOf !== this.#place()) this.ghosts = [];
+    if (this.ghostsOf !== this.#place()) this.ghosts = [];
+    else if (this.trail.length > 8) this.ghosts = [...this.ghosts, this.trail].slice(-MOST_GHOSTS);
     this.ghostsOf = this.#place();
     this.episode = new Episode(this.scene, this.contents.robot, this.limits);
     const { x, y } = this.episode.body;
@@ -153,7 +142,6 @@ export class Session {
     this.humanTrack = [[...this.episode.human], [...this.episode.human]];
     this.fraction = 1;
     this.nearest = this.episode.humanDistance;
-    this.command = [0, 0];
     this.#measureStyle();
     this.onRestart();
   }
@@ -186,7 +174,6 @@ export class Session {
       ? this.driver(episode)
       : this.policy.command(sensed, this.preference, { clamped: this.clamped });
     if (command === null) return false;
-    this.command = command;
     const { x, y, heading } = episode.body;
     const human = [...episode.human];
     this.poses = [[x, y, heading], ...episode.step(command)];
@@ -226,21 +213,30 @@ export class Session {
     return this.episode.ending === "goal" ? this.frechet.distance : this.frechet.soFar;
   }
 
-  /** The place, or the nearest one to it where a person does not touch the robot. */
-  standable(x, y) {
+  // The place, or the nearest one to it where a person does not touch the robot.
+  #standable(x, y) {
     const { body } = this.episode;
     const room = this.contents.robot.radius + HUMAN_RADIUS + 0.05;
-    const distance = Math.hypot(x - body.x, y - body.y);
+    const [dx, dy] = [x - body.x, y - body.y];
+    const distance = Math.hypot(dx, dy);
     if (distance >= room) return [x, y];
-    const share = room / Math.max(distance, 1e-6);
-    return [body.x + (x - body.x || 1e-6) * share, body.y + (y - body.y) * share];
+    const way = distance ? Math.atan2(dy, dx) : body.heading;
+    return [body.x + room * Math.cos(way), body.y + room * Math.sin(way)];
   }
 
   #takeMotion(motion) {
     this.motion = motion;
     const walking = motion !== "stands";
     const fits = Object.entries(this.contents.policies).find(([, one]) => one.walking === walking);
-    if (fits && this.entry.walking !== walking) this.policyName = fits[0];
+    if (fits && this.entry.walking !== walking) this.#use(fits[0]);
+  }
+
+  // A preference is for the objectives of its policy.
+  #use(name) {
+    const before = this.policy.tunable;
+    this.policyName = name;
+    const { tunable } = this.policy;
+    if (before.join() !== tunable.join()) this.preference = tunable.map(() => 1 / tunable.length);
   }
 
   #walk(human) {

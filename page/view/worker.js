@@ -1,16 +1,14 @@
 // Previews, apart from the page so that it stays smooth: rollouts from one moment, of every corner preference and of
 // the present one.
-import { Policy, bytes } from "../simulation/policy.js";
+import { readPolicies } from "../simulation/policy.js";
 import { preview } from "../simulation/preview.js";
 
 /** Answer the messages of `Previews`, in a worker. */
 export function serve(scope) {
-  const policies = {};
+  let policies;
   scope.onmessage = ({ data }) => {
     if (data.policies) {
-      for (const [name, entry] of Object.entries(data.policies)) {
-        policies[name] = new Policy(entry, bytes(entry.weights));
-      }
+      policies = readPolicies(data.policies);
       return;
     }
     const { number, moment, name, preference, clamped } = data;
@@ -19,8 +17,29 @@ export function serve(scope) {
     const ways = policy.tunable.map((_, corner) =>
       way(policy.tunable.map((_, entry) => (entry === corner ? 1 : 0))),
     );
-    scope.postMessage({ number, ways, own: way(preference) });
+    const names = ways.map((_, corner) => furthest(ways, corner));
+    scope.postMessage({ number, ways, names, own: way(preference) });
   };
+}
+
+// Where a way lies furthest from the others, and further than a hand: there it gets its name.
+function furthest(ways, corner) {
+  let best = null;
+  let most = 0.22;
+  for (const point of ways[corner].points.slice(4)) {
+    let least = Infinity;
+    ways.forEach(({ points: others }, index) => {
+      if (index === corner) return;
+      for (const other of others) {
+        least = Math.min(least, Math.hypot(point[0] - other[0], point[1] - other[1]));
+      }
+    });
+    if (least > most) {
+      most = least;
+      best = point;
+    }
+  }
+  return best;
 }
 
 /** Asks a worker that runs the page's own script; one question at a time, the latest. */
@@ -34,11 +53,13 @@ export class Previews {
     this.waiting = null;
     /** The latest answer, one { points, ending } a corner. */
     this.ways = [];
+    /** Where each of them gets its name, [x, y]; null for one that is too near to the others. */
+    this.names = [];
     /** The same under the preference of the question, or null. */
     this.own = null;
     this.worker.onmessage = ({ data }) => {
       this.busy = false;
-      if (data.number >= this.valid) [this.ways, this.own] = [data.ways, data.own];
+      if (data.number >= this.valid) ({ ways: this.ways, names: this.names, own: this.own } = data);
       if (this.waiting) this.ask(this.waiting);
     };
     this.valid = 0;
@@ -58,6 +79,7 @@ export class Previews {
   /** What was asked before is of another scene. */
   forget() {
     this.ways = [];
+    this.names = [];
     this.own = null;
     this.waiting = null;
     this.valid = this.number + 1;

@@ -24,6 +24,7 @@ from recipes.arguments import Parser, count, seed
 from recipes.evaluation.setting import choose
 from recipes.evaluation.sweep import SHIPPED_POLICY
 from torchrl_morl.deploy import load_policy
+from torchrl_morl.geometry import wrap_angle
 
 from .simulation import LiveSimulation
 
@@ -66,7 +67,7 @@ def main() -> None:
             )
         setting = choose(policy.card, scene=args.scene, robot=args.robot, drive=args.drive)
         check_policy(policy, setting.arguments)
-        simulation = LiveSimulation(policy, setting, setting.scene, seed=args.seed)
+        simulation = LiveSimulation(policy, setting, seed=args.seed)
         server = viser.ViserServer(
             host=args.host, port=args.port, label="torchrl-morl", verbose=False
         )
@@ -129,7 +130,7 @@ def between(first: np.ndarray, second: np.ndarray, share: float) -> np.ndarray:
         array([0.5  , 0.   , 3.142])
     """
     way = second - first
-    way[2] = (way[2] + np.pi) % (2 * np.pi) - np.pi
+    way[2] = wrap_angle(torch.as_tensor(way[2]))
     return first + share * way
 
 

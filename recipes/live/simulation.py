@@ -3,24 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import step_mdp
 
 from envs import NavigationEnv, Scene
 from envs.fields import shown
+from envs.policy_env import simulated
 from recipes.evaluation.setting import Setting
 from torchrl_morl.deploy import Policy
+from torchrl_morl.deploy.onnx_runner import FASTEST_HUMAN
+from torchrl_morl.evaluation.rollout import episode_mask
+from torchrl_morl.transforms import LidarMinPool, VelocityInFrame
 
 WALKING_SPEED = 0.5
 CROSSING = 2.5
 """Metres to either side of somebody who crosses."""
 
-# As in PolicyRunner: who moves faster was put elsewhere, and is seen there for the first time.
-_FASTEST_HUMAN = 3.0
+_velocity = VelocityInFrame(period=NavigationEnv.CONTROL_PERIOD)
 
 Motion = Literal["stands", "walks", "crosses"]
 ENDINGS = ("success", "collision_human", "collision_obstacle", "truncated")
@@ -33,21 +39,24 @@ class LiveSimulation:
 
     Args:
         policy: that drives.
-        setting: robot, drive and goal radius.
-        scene: where.
+        setting: scene, robot, drive and goal radius.
         seed: of the scene.
     """
 
-    def __init__(self, policy: Policy, setting: Setting, scene: Scene, *, seed: int = 0) -> None:
+    def __init__(self, policy: Policy, setting: Setting, *, seed: int = 0) -> None:
         self.policy, self.seed = policy, seed
-        self._arguments: dict[str, Any] = {
-            name: value
-            for name, value in setting.arguments.items()
-            if name in ("robot", "drive", "goal_radius")
-        }
+        # The policy reads of these what it was trained with.
+        names = ("preference", "lidar", "goal", "human", "human_velocity")
+        self._actor = TensorDictModule(
+            policy.act,
+            in_keys={name: name for name in names},
+            out_keys=["action"],
+            out_to_in_map=False,
+        )
+        self._arguments = simulated(setting.arguments)
         count = policy.preference_space.num_tunable
         self.preference = np.full(count, 1 / count)
-        self.enter(scene)
+        self.enter(setting.scene)
 
     def enter(self, scene: Scene) -> None:
         """Another scene, from its start."""
@@ -55,7 +64,13 @@ class LiveSimulation:
         walking = dataclasses.replace(scene, human_speed=scene.human_speed or WALKING_SPEED)
         count = self.policy.preference_space.num_tunable
         arguments = {**self._arguments, "scene": walking, "num_threads": 1}
-        env, ahead = (NavigationEnv(num_envs=n, **arguments) for n in (1, count))
+        env, ahead = (
+            TransformedEnv(
+                NavigationEnv(num_envs=n, **arguments),
+                Compose(LidarMinPool(self.policy.sensing.num_sectors), _velocity.clone()),
+            )
+            for n in (1, count)
+        )
         if hasattr(self, "env"):
             self.close()
         self.scene, self.env, self._ahead = walking, env, ahead
@@ -71,7 +86,7 @@ class LiveSimulation:
         self._start = self._now.clone()
         self.seconds, self.ending, self.path = 0.0, None, [self.pose[:2]]
         self.nearest = self.human_distance
-        self._human_before: np.ndarray | None = None
+        self._human_before: Tensor | None = None
         self.set_motion(self.motion)
 
     @property
@@ -112,9 +127,10 @@ class LiveSimulation:
         """One control step; none after the end."""
         if self.ending is not None:
             return
-        command = self._command(self._now, self.preference[None], self._human_velocity()[None])
-        self._human_before = self.human
-        after = self.env.step(self._now.set("action", command))
+        self._now["human_velocity"] = self._human_velocity()
+        self._now["preference"] = torch.as_tensor(self.preference)[None]
+        self._human_before = self._now["human_pose"].clone()
+        after = self.env.step(self._actor(self._now))
         self.ending = next((name for name in ENDINGS if after["next", name][0]), None)
         self._now = step_mdp(after)
         self.seconds += self.env.CONTROL_PERIOD
@@ -185,22 +201,20 @@ class LiveSimulation:
         """
         count = self._ahead.num_envs
         now = self._ahead.reset(self._now.expand(count).clone(), set_state=True)
-        preferences = np.eye(count)
-        velocities = np.repeat(self._human_velocity()[None], count, 0)
-        over = np.zeros(count, dtype=bool)
-        points = [now["pose"][:, :2].numpy().astype(np.float64)]
-        for _ in range(steps):
-            human = now["human_pose"][:, :2].numpy().astype(np.float64)
-            after = self._ahead.step(now.set("action", self._command(now, preferences, velocities)))
-            over_now = after["next", "done"][:, 0].numpy()
-            now = step_mdp(after)
-            points.append(np.where(over[:, None], points[-1], now["pose"][:, :2].numpy()))
-            velocities = _velocity(human, now)
-            over |= over_now
-            if over.all():
-                break
-        points += [points[-1]] * (steps + 1 - len(points))
-        return np.stack(points, 1)
+        now["human_velocity"] = self._human_velocity().expand(count, 2)
+        now["preference"] = torch.eye(count)
+        rollout = self._ahead.rollout(
+            steps,
+            self._actor,
+            auto_reset=False,
+            tensordict=now,
+            break_when_any_done=False,
+            break_when_all_done=True,
+        )
+        length = episode_mask(rollout["next", "done"]).sum(-1, keepdim=True)
+        points = torch.cat((now["pose"][:, None, :2], rollout["next", "pose"][..., :2]), 1)
+        at = torch.arange(steps + 1).minimum(length)
+        return points.gather(1, at[..., None].expand(-1, -1, 2)).numpy()
 
     def close(self) -> None:
         self.env.close()
@@ -214,34 +228,14 @@ class LiveSimulation:
         if self.ending is None:
             self._now = self.env.reset(self._now, set_state=True)
 
-    def _human_velocity(self) -> np.ndarray:
-        """Ahead and to the left, m/s."""
+    def _human_velocity(self) -> Tensor:
+        """Ahead and to the left, ``[1, 2]``, m/s. Hands move people, too, but as in PolicyRunner:
+        who moves too fast was put elsewhere, and is seen there for the first time.
+        """
         if self._human_before is None:
-            return np.zeros(2)
-        return _velocity(self._human_before[None], self._now)[0]
-
-    def _command(
-        self, now: TensorDictBase, preference: np.ndarray, velocity: np.ndarray
-    ) -> torch.Tensor:
-        sensing = self.policy.sensing
-        scan = now["scan"].numpy()
-        given = {"human": now["human"].numpy()} if sensing.observe_human else {}
-        if sensing.observe_human_velocity:
-            given["human_velocity"] = velocity
-        command = self.policy.act(
-            preference=preference,
-            lidar=scan.reshape(len(scan), sensing.num_sectors, -1).min(-1),
-            goal=now["goal"].numpy(),
-            **given,
+            return torch.zeros(1, 2)
+        seen = TensorDict(
+            {"human_pose": self._human_before, "next": self._now.select("human_pose", "pose")}
         )
-        return torch.from_numpy(command)
-
-
-def _velocity(before: np.ndarray, now: TensorDict | TensorDictBase) -> np.ndarray:
-    """Of people in the robots' frames, ``[N, 2]``, m/s; 0 for those who were put elsewhere."""
-    moved = now["human_pose"][:, :2].numpy().astype(np.float64) - before
-    x, y = moved.T / NavigationEnv.CONTROL_PERIOD
-    cos, sin = np.cos(now["pose"][:, 2].numpy()), np.sin(now["pose"][:, 2].numpy())
-    velocity = np.stack((cos * x + sin * y, cos * y - sin * x), -1)
-    velocity[np.hypot(x, y) > _FASTEST_HUMAN] = 0.0
-    return velocity
+        velocity = _velocity(seen)["next", "human_velocity"]
+        return velocity * (velocity.norm() <= FASTEST_HUMAN)

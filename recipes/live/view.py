@@ -87,7 +87,7 @@ class LiveView:
         self.build()
 
     def build(self) -> None:
-        """The things of the scene, anew."""
+        """The things of the scene, anew, and nothing of what was there."""
         for thing in self._things.values():
             thing.remove()
         scene, simulation = self.server.scene, self.simulation
@@ -213,7 +213,6 @@ class LiveView:
 
     def again(self, seed: int | None = None) -> None:
         """The episode from its start, or that of another seed."""
-        self._forget("path", "way", "lidar")
         self.simulation.restart(seed)
         self.build()
 
@@ -263,7 +262,7 @@ class LiveView:
             name = self._scene.value
             simulation.enter(given if name == given.name else SCENES[name])
             self._motion.value = simulation.motion
-            self.again()
+            self.build()
 
         self._scene.on_update(ask(enter))
         self._motion.on_update(ask(lambda: simulation.set_motion(self._motion.value)))

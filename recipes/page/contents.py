@@ -10,9 +10,9 @@ from typing import Any
 
 import torch
 
-from envs import HUMAN_RADIUS, NavigationEnv, Robot, Scene, get_scene
+from envs import NavigationEnv, Robot, Scene, get_scene
 from envs.splits import TEST_SEEDS
-from recipes.evaluation.setting import demonstration, demonstrator, trained_in
+from recipes.evaluation.setting import demonstrator, trained_in
 from recipes.objectives import known
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.deploy.networks import describe_mlp
@@ -66,7 +66,6 @@ def contents(
     return {
         "policies": policies,
         "robot": dataclasses.asdict(robot),
-        "human_radius": HUMAN_RADIUS,
         "objectives": {
             row.name: {"label": row.label, "color": row.color} for row in known(sorted(names))
         },
@@ -89,20 +88,17 @@ def _policy(folder: Path) -> tuple[dict[str, Any], Robot]:
         if got != runs:
             raise ValueError(f"{folder}: its {name} is {got}, a page runs {runs} alone.")
     space = policy.preference_space
+    weights = (folder / "policy.safetensors").read_bytes()
+    drives = demonstrator(policy.card, setting.robot)
     entry: dict[str, Any] = {
         "objectives": list(space.objectives),
         "static": dict(space.static),
         "limits": policy.limits.to_json(),
         "sensing": policy.sensing.to_json(),
-    }
-    weights = (folder / "policy.safetensors").read_bytes()
-    drives = demonstrator(policy.card, setting.robot)
-    entry |= {
         "goal_radius": setting.goal_radius,
         "walking": setting.scene.human_speed > 0,
         "demonstrator": drives
-        and {"radius": drives.radius, "side": drives.side, "speed": drives.speed}
-        | demonstration(policy.card),
+        and {"radius": drives.radius, "side": drives.side, "speed": drives.speed},
         "weights": base64.b64encode(weights).decode(),
     }
     return entry, setting.robot
@@ -137,8 +133,8 @@ def _scenes(
                 "boxes": start["scene", "boxes"].tolist(),
             }
         )
-        if found.count(found[0]) == 2:  # the same for every seed
-            found = found[:1]
+        if found[:1] == found[1:]:  # the same for every seed
+            found.pop()
             break
     env.close()
     return scene.name, {

@@ -11,6 +11,9 @@ from .modules import script
 
 SOURCES = Path(__file__).resolve().parents[2] / "page"
 
+STYLES = ("page", "floor", "panel", "small")
+"""Of ``page/style``, in their order: what follows wins."""
+
 
 def html(contents: Mapping[str, Any]) -> str:
     """The whole page.
@@ -25,7 +28,7 @@ def html(contents: Mapping[str, Any]) -> str:
         raise ValueError("page/: a module holds '</', which would end the script in the page.")
     page = (SOURCES / "index.html").read_text()
     for mark, text in (
-        ("/*STYLE*/", (SOURCES / "style.css").read_text()),
+        ("/*STYLE*/", "".join((SOURCES / "style" / f"{name}.css").read_text() for name in STYLES)),
         ("/*PROGRAM*/", program),
         ("/*CONTENTS*/", data),
     ):

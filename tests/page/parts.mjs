@@ -1,6 +1,5 @@
-// Calls one function of the page after another: [[name, ...arguments], ...] in, their results out.
-//   node parts.mjs JOB.json > RESULTS.json
-import { readFileSync } from "node:fs";
+// Calls functions of the page: [name, ...arguments] a line in, a result a line out.
+import { createInterface } from "node:readline";
 
 import { Drives } from "../../page/recording/drives.js";
 import { Hand } from "../../page/recording/hand.js";
@@ -10,6 +9,7 @@ import { boxDistance, polar, wrapAngle } from "../../page/simulation/geometry.js
 import { scan, sectors } from "../../page/simulation/lidar.js";
 import { mixture, rgb } from "../../page/view/colors.js";
 import { decode, encode } from "../../page/view/link.js";
+import { Session } from "../../page/view/session.js";
 import { onSimplex, withWeight } from "../../page/view/triangle.js";
 
 const PARTS = {
@@ -46,6 +46,19 @@ const PARTS = {
       return hand.command(body, robot);
     });
   },
+  // The policy and the preference of a session after the person has begun to do this.
+  motion(contents, motion) {
+    const session = new Session(contents);
+    session.preference = [1, 0, 0];
+    session.setMotion(motion);
+    return [session.policyName, session.preference];
+  },
+  // Where a person stands who was put to a place.
+  put(contents, place) {
+    const session = new Session(contents);
+    session.move("human", ...place);
+    return session.episode.human;
+  },
   // What becomes of drives whose episodes are at these moments.
   drives(episodes) {
     const drives = new Drives();
@@ -57,5 +70,7 @@ const PARTS = {
   },
 };
 
-const job = JSON.parse(readFileSync(process.argv[2], "utf8"));
-console.log(JSON.stringify(job.calls.map(([name, ...given]) => PARTS[name](...given))));
+createInterface({ input: process.stdin }).on("line", (line) => {
+  const [name, ...given] = JSON.parse(line);
+  console.log(JSON.stringify(PARTS[name](...given)));
+});

@@ -12,8 +12,6 @@ import pytest
 
 from envs.demonstrations import import_demonstrations
 
-pytestmark = pytest.mark.slow  # minutes on two cores
-
 SHOWCASE = "#scene=showcase&policy=navigation&person=stands"
 
 
@@ -66,6 +64,12 @@ def on_floor(page, x: float, y: float) -> list[float]:
     return page.evaluate(code, [x, y])
 
 
+def copied(page) -> str:
+    """The state, in the part of the link behind ``#``."""
+    page.locator("#link").click()
+    return page.evaluate("location.hash")
+
+
 def corners(page) -> list[tuple[float, float]]:
     """Of the triangle in the window, pixels: demonstration, distance, efficiency."""
     frame = page.locator("#triangle canvas").bounding_box()
@@ -110,7 +114,7 @@ def test_the_robot_answers_to_the_person(opened):
     # It was to pass on the left of the person; now there is more room on the right.
     assert beside(before) > 0.4
     assert beside(after) < 0.2
-    assert "human=4.5" in page.evaluate("location.hash")
+    assert "human=4.5" in copied(page)
 
 
 def beside(path: np.ndarray) -> float:
@@ -138,6 +142,7 @@ def test_previews_show_where_each_corner_would_go(opened):
     nearest = [min(math.hypot(x - 4.5, y) for x, y in way["points"]) for way in ways]
     assert nearest[1] > nearest[0] + 0.3  # far from the person
     assert nearest[1] > nearest[2] + 0.3
+    assert page.evaluate("page.previews.names[1]") in ways[1]["points"]
     # The broad line is where it goes, and follows the dot also while all stands still.
     page.evaluate("page.session.playing = false")
     drag(page, corners(page)[2], corners(page)[1])
@@ -178,7 +183,7 @@ def test_a_link_carries_the_state(opened):
     page.keyboard.press("Escape")
     page.evaluate("page.session.move('goal', 7, 1)")
     page.locator("#weights input").nth(1).fill("60")
-    link = page.evaluate("location.hash")
+    link = copied(page)
     # People who walk are for the policy that was trained with them.
     assert "policy=moving_humans" in link
     code = "[page.session.scene, page.session.policyName, page.session.preference.map((w) => Math.round(1000 * w))]"
@@ -215,6 +220,11 @@ def test_it_fits_the_window_and_follows_the_scheme(opened, width, scheme):
     page = opened(width=width, color_scheme=scheme, has_touch=width < 400)
     assert page.evaluate("document.documentElement.scrollWidth") == width
     assert page.evaluate("document.documentElement.dataset.theme") == scheme
+    # The scene lies below the numbers on it.
+    numbers = page.locator("#numbers").bounding_box()
+    for name in ("[s.body.x, s.body.y]", "s.goal", "s.human"):
+        x, y = page.evaluate(f"(() => {{ const s = page.session.episode; return {name}; }})()")[:2]
+        assert on_floor(page, x, y)[1] > numbers["y"] + numbers["height"]
     # The floor and the whole triangle are seen at once on a phone of 844 points.
     frame = page.locator("#triangle").bounding_box()
     assert frame["y"] + frame["height"] < 844

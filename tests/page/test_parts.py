@@ -3,28 +3,40 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
+import subprocess
 
 import numpy as np
 import pytest
 
 from envs import TURTLEBOT2
 from recipes.objectives import OBJECTIVES, preference_colors
+from recipes.page.contents import SHIPPED, contents
 
-from ._node import needs_node, node
+from ._node import HERE, needs_node
 
 pytestmark = needs_node
 ROBOT = dataclasses.asdict(TURTLEBOT2)
 
 
-@pytest.fixture
-def call(tmp_path):
+@pytest.fixture(scope="module")
+def call():
     """A function that calls a part of the page."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen(["node", HERE / "parts.mjs"], **pipes) as running:
 
-    def call(name: str, *arguments):
-        return node("parts.mjs", {"calls": [[name, *arguments]]}, tmp_path)[0]
+        def call(name: str, *arguments):
+            print(json.dumps([name, *arguments]), file=running.stdin, flush=True)
+            return json.loads(running.stdout.readline())
 
-    return call
+        yield call
+
+
+@pytest.fixture(scope="module")
+def page():
+    """What a page holds."""
+    return contents(SHIPPED, ["showcase"], num_scenes=1)
 
 
 def test_a_body_comes_to_its_speed_and_keeps_it(call):
@@ -123,6 +135,24 @@ def test_a_link_comes_back_and_nonsense_is_named(call):
     answer = call("decode", bad, known)
     assert answer["state"] == {"policy": "two", "moved": {}}
     assert len(answer["refused"]) == 7
+    gaps = "#human=1,&goal=,2&weights=1,,1"
+    assert call("decode", gaps, known)["refused"] == ["human=1,", "goal=,2", "weights=1,,1"]
+
+
+def test_a_preference_is_for_the_objectives_of_its_policy(call, page):
+    """Whoever walks is met by the other policy. It keeps the preference, if it weighs the same objectives."""
+    assert call("motion", page, "walks") == ["moving_humans", [1, 0, 0]]
+    walking = page["policies"]["moving_humans"]
+    other = page["policies"] | {"moving_humans": {**walking, "static": {"core": 1, "demo": 1}}}
+    assert call("motion", {**page, "policies": other}, "walks") == ["moving_humans", [0.5, 0.5]]
+
+
+def test_nobody_is_put_into_the_robot(call, page):
+    x, y, _ = page["scenes"]["showcase"]["scenes"][0]["start"]
+    room = page["robot"]["radius"] + 0.25 + 0.05
+    assert call("put", page, [x, y])[:2] == pytest.approx([x + room, y])  # ahead of it
+    assert call("put", page, [x, y - 0.1])[:2] == pytest.approx([x, y - room])
+    assert call("put", page, [x + 1, y])[:2] == [x + 1, y]
 
 
 def test_hands_drive_with_keys_a_stick_and_a_pointer(call):

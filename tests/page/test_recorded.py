@@ -14,8 +14,6 @@ from tests._command import ROOT
 
 from ._node import needs_node
 
-pytestmark = pytest.mark.slow  # minutes on two cores
-
 SHIPPED = ROOT / "examples" / "drives_page.csv"
 
 

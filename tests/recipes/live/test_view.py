@@ -20,8 +20,6 @@ viser = pytest.importorskip("viser", reason="viser is not installed: group live"
 
 from recipes.live.view import LiveView, on_floor  # noqa: E402
 
-pytestmark = pytest.mark.slow  # minutes on two cores
-
 
 @pytest.fixture(scope="module")
 def view():
@@ -30,7 +28,7 @@ def view():
         port = free.getsockname()[1]
     policy = load_policy(SHIPPED_POLICY)
     setting = Setting(get_scene("showcase"), trained_in(policy.card).robot)
-    simulation = LiveSimulation(policy, setting, setting.scene, seed=7)
+    simulation = LiveSimulation(policy, setting, seed=7)
     server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
     yield LiveView(server, simulation)
     server.stop()
@@ -47,6 +45,15 @@ def test_the_robot_is_shown_where_it_is(view):
     assert abs(view.simulation.pose[1] - y) < 0.05
     assert len(view.things("way")) == 3
     assert "to the person" in view.numbers
+
+
+def test_another_seed_shows_another_scene_and_no_old_ways(view):
+    live.serve(view, view.simulation, seconds=0.5)
+    assert view.things("path")
+    view.again(9)
+    assert (view.simulation.seed, view.simulation.seconds) == (9, 0.0)
+    assert not view.things("path") and not view.things("way")
+    assert len(view.things("box")) == len(view.simulation.boxes)
 
 
 def test_a_weight_changes_the_others(view):
