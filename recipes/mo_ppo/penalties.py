@@ -11,11 +11,10 @@ from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 
 from envs import HUMAN_RADIUS
+from torchrl_morl.deploy import Sensing
 from torchrl_morl.deploy.features import NUM_SECTORS
 from torchrl_morl.geometry import wrap_angle
-
-MAX_RANGE = 4.0
-"""Of the lidar, metres."""
+from torchrl_morl.transforms import LogRange
 
 _MARGIN = 0.1
 """Radians."""
@@ -131,7 +130,7 @@ def anchor(
         action: the mean of the policy there, ``[*B, A]``.
 
     Keyword Args:
-        sigma: standard deviations of both, see :func:`~recipes.mo_ppo.utils.make_policy`.
+        sigma: standard deviations of both, see :func:`~recipes.training.ppo.make_policy`.
         objective: the place of the weight in the preference.
         radius: around the human, metres.
         clearance: from the nearest box, metres; 0 holds beside boxes, too.
@@ -155,7 +154,7 @@ def nearest_box(observation: Tensor, human: Tensor) -> Tensor:
     Returns:
         ``[*B]``.
     """
-    ranges = MAX_RANGE * (3 * observation[..., :NUM_SECTORS]).exp()
+    ranges = LogRange(Sensing.max_range).inverse(observation[..., :NUM_SECTORS])
     width = 2 * math.pi / NUM_SECTORS
     middle = width * (torch.arange(NUM_SECTORS, device=observation.device) + 0.5)
     distance, bearing = human.unsqueeze(-2).unbind(-1)

@@ -34,6 +34,16 @@ class LogRange:
         """Ranges of any shape, at least a millimetre."""
         return (ranges / self.max_range).clamp_min(1e-3 / self.max_range).log() / 3
 
+    def inverse(self, values: Tensor) -> Tensor:
+        """Ranges in metres of what a call gave.
+
+        Examples:
+            >>> to_log = LogRange(4.0)
+            >>> to_log.inverse(to_log(torch.tensor([0.25, 4.0])))
+            tensor([0.2500, 4.0000])
+        """
+        return self.max_range * (3 * values).exp()
+
 
 def valid_ranges(ranges: Tensor, range_min: float, range_max: float) -> Tensor:
     """Ranges between the limits, and NaN for those that are invalid: see :class:`LidarMinPool`.
