@@ -156,7 +156,13 @@ def test_a_lesson_that_was_cut_short_goes_on(stages_run, tmp_path, monkeypatch, 
     with pytest.raises(SystemExit):
         run_here(teach.main, DRIVES, "--output", str(lesson))
     assert "holds an unfinished training: go on with --resume" in capsys.readouterr().err
-    for given in ([DRIVES], ["--full"], ["--drex", "seed=3"]):
+    for given in (
+        [DRIVES],
+        ["--full"],
+        ["--drex", "seed=3"],
+        ["--robot", "hsr"],
+        ["--episodes", "5"],
+    ):
         with pytest.raises(SystemExit):
             run_here(teach.main, "--resume", str(lesson), *given)
         assert "give no others" in capsys.readouterr().err
