@@ -36,6 +36,10 @@ class Moment(NamedTuple):
     goal: tuple[float, float]
     human: tuple[float, float]
 
+    @property
+    def stands(self) -> bool:
+        return abs(self.speed) < 0.01 and abs(self.turn_rate) < 0.05
+
 
 class Robot(SimulatedRobot):
     """Remembers, and has faults: ``silent``, ``stale`` and ``nan`` scans, ``lost`` humans."""
@@ -94,7 +98,7 @@ class Robot(SimulatedRobot):
 
     @property
     def stands(self) -> bool:
-        return abs(self.velocity[0]) < 0.01 and abs(self.velocity[1]) < 0.05
+        return self.moments[-1].stands
 
     # --- time
 

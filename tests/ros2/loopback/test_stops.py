@@ -2,7 +2,7 @@
 
 The robot's clock runs at a quarter of the wall's, so that a machine that is busy with other tests does not
 stop the robot by itself: delays are those of a machine that is four times as fast. ``ROS_FACTOR=1`` measures in
-real time, without ``/clock``; that is the table of ``docs/how_to/ros.md``.
+real time, without ``/clock``. Both are in ``docs/how_to/ros.md``.
 """
 
 from __future__ import annotations
@@ -60,10 +60,13 @@ def measure(robot: Robot, begin: float) -> tuple[float, float]:
 
 def standing(robot: Robot, begin: float) -> float:
     """From the fault to standing."""
-    assert robot.run(lambda: robot.stands, 5.0 / FACTOR)
+
+    def still() -> list[float]:
+        return [m.time for m in robot.moments if m.time > begin and m.stands]
+
+    assert robot.run(still, 5.0 / FACTOR)
     # It has stood for the whole of the step at whose end that is seen.
-    stood = next(m.time for m in robot.moments if m.time > begin and abs(m.speed) < 0.01)
-    return stood - robot.period - begin
+    return still()[0] - robot.period - begin
 
 
 FAULTS = {
