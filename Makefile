@@ -54,7 +54,7 @@ lock: ## write uv.lock anew with the versions of constraints.txt; needs uv
 
 clean: ## remove .venv, .venv-ros and caches; runs/ stays
 	rm -rf .venv .venv-ros .pytest_cache .ruff_cache build dist docs/_build *.egg-info
-	find torchrl_morl envs recipes examples tests benchmarks tools -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+	find torchrl_morl envs recipes examples tests benchmarks tools ros2 -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 ifneq ($(shell test -x $(VENV)/bin/python && echo works),works)
 .PHONY: $(STAMP)

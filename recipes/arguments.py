@@ -39,6 +39,20 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: error: {message}\n")
 
+    def changed(self, args: argparse.Namespace) -> set[str]:
+        """Arguments that are not their defaults.
+
+        Examples:
+            >>> parser = Parser(prog="evaluate")
+            >>> _ = parser.add_argument("--episodes", type=int, default=100)
+            >>> (
+            ...     parser.changed(parser.parse_args([])),
+            ...     parser.changed(parser.parse_args(["--ep", "5"])),
+            ... )
+            (set(), {'episodes'})
+        """
+        return {name for name, value in vars(args).items() if value != self.get_default(name)}
+
 
 def count(least: int = 1, most: int | None = None) -> Callable[[str], int]:
     """A whole number in a range.

@@ -24,29 +24,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
-import torch
-import tqdm
 from tensordict import TensorDict
 
-from envs import HUMAN_RADIUS, SCENES, get_robot
+from envs import get_robot
 from envs.demonstrations import ImportReport, import_demonstrations
-from torchrl_morl.data import load_demonstrations, save_demonstrations
-from torchrl_morl.deploy import load_policy
+from torchrl_morl.data import save_demonstrations
 
 from . import stages
 from .arguments import Parser, episodes, existing, existing_file, existing_folder
 from .drex import schema as drex_schema
-from .evaluation import style
-from .evaluation.setting import choose
-from .evaluation.sweep import Sweep, sweep
-from .objectives import DEMO, known
+from .evaluation.comparison import compare, draw, table
 from .pd_morl import schema as morl_schema
-from .stages import Record
+from .record import Record, begin, locked, refuse_used, to_resume
 from .training.command import check_stage
 from .training.quoting import quoted
 from .training.run_folder import final_policy, write_atomically
@@ -68,7 +57,7 @@ def main() -> None:
         teach(record)
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     parser = Parser(description=__doc__)
     parser.add_argument(
         "file", nargs="?", type=existing, help="recorded drives: .csv, .npz or a ROS bag"
@@ -107,10 +96,10 @@ def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
         "pd_morl": args.pd_morl,
     }
     if args.output is not None:
-        stages.refuse_used(args.output)
+        refuse_used(args.output)
     drives, report = recorded(options)
     check(options, _RUNS / "new" if args.output is None else args.output.resolve())
-    record, held = stages.begin(_RUNS, args.output, options, "recipes.teach")
+    record, held = begin(_RUNS, args.output, options, "recipes.teach")
     keep(record, drives, report)
     return record, held
 
@@ -121,7 +110,7 @@ def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
     Raises:
         ValueError: if it is over, if it is none, or for options that would change it.
     """
-    record = stages.to_resume(
+    record = to_resume(
         args.resume,
         file=str,
         boxes=(str, type(None)),
@@ -131,10 +120,10 @@ def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
         drex=list,
         pd_morl=list,
     )
-    if args.file or args.boxes or args.full or args.drex or args.pd_morl:
+    if make_parser().changed(args) - {"resume"}:
         raise ValueError("--resume goes on with the file and options of the start: give no others.")
     check(record.options, record.folder)
-    held = stages.locked(record)
+    held = locked(record)
     record = Record.load(record.folder)
     if not (record.folder / _DATASET).is_file():
         keep(record, *recorded(record.options))
@@ -184,10 +173,11 @@ def teach(record: Record) -> None:
     results = compare(policy, output / _DATASET, episodes=options["episodes"])
     picture = output / "style.png"
     draw(picture, results)
-    write_atomically(output / "style.json", json.dumps(results.numbers(), indent=2) + "\n")
+    numbers = results.numbers()
+    write_atomically(output / "style.json", json.dumps(numbers, indent=2) + "\n")
     record.finished = True
     record.save()
-    print(results.table())
+    print(table(numbers))
     print(f"picture: {picture}")
     print(f"policy: {policy} ({(time.perf_counter() - started) / 60:.1f} minutes)")
     print(f"try it: python -m recipes.demo --policy {shlex.quote(str(policy))}")
@@ -230,134 +220,6 @@ def common(options: Mapping[str, Any]) -> list[str]:
 
 def threads() -> int:
     return min(2, len(os.sched_getaffinity(0)))
-
-
-@dataclasses.dataclass(frozen=True)
-class Comparison:
-    """Drives that were shown, and those of a policy that learned from them.
-
-    Args:
-        shown: the demonstrations.
-        driven: those of the policy in scenes with boxes, by the objective that has all the weight.
-        free: the same in scenes without boxes.
-        success: share of the episodes with boxes that reach the goal, by objective.
-    """
-
-    shown: style.Drives
-    driven: dict[str, style.Drives]
-    free: dict[str, style.Drives]
-    success: dict[str, float]
-
-    @property
-    def likeness(self) -> float:
-        """Share of the drives at demonstration = 1 that pass on the side that was shown."""
-        return self.driven[DEMO].on(self.shown.side)
-
-    def numbers(self) -> dict[str, dict[str, float]]:
-        """What :meth:`table` shows."""
-        side = self.shown.side
-        rows = {
-            "shown": {
-                f"passes on the {side}": self.shown.on(side),
-                "nearest to the human / m": self.shown.nearest.mean().item(),
-            }
-        }
-        for name, drives in self.driven.items():
-            rows[name] = {
-                "success": self.success[name],
-                f"passes on the {side}": drives.on(side),
-                f"passes on the {side}, without boxes": self.free[name].on(side),
-                "nearest to the human / m": drives.nearest.mean().item(),
-                "distance to what was shown / m": drives.distance_to(self.shown).nanmean().item(),
-                "distance to what was shown, without boxes / m": self.free[name]
-                .distance_to(self.shown)
-                .nanmean()
-                .item(),
-            }
-        return rows
-
-    def table(self) -> str:
-        """One line a preference."""
-        lines = []
-        for name, numbers in self.numbers().items():
-            cells = (
-                f"{what} {value:.2f}" if what.endswith("/ m") else f"{what} {100 * value:.0f} %"
-                for what, value in numbers.items()
-            )
-            lines.append(f"{name:>12}: {'; '.join(cells)}")
-        return "\n".join(lines)
-
-
-def compare(policy: Path, dataset: Path, *, episodes: int, seed: int = 7) -> Comparison:
-    """Drive the corner preferences of a policy in fresh scenes, with boxes and without."""
-    torch.set_num_threads(1)
-    loaded = load_policy(policy)
-    setting = choose(loaded.card)
-    data, _ = load_demonstrations(dataset)
-    corners = loaded.preference_space.corners()
-    results: list[Sweep] = []
-    with tqdm.tqdm(total=2 * len(corners), desc="evaluation", unit="preference") as progress:
-        for scene in (setting.scene, SCENES["empty"]):
-            results.append(
-                sweep(
-                    loaded.actor,
-                    loaded.preference_space,
-                    corners,
-                    episodes=episodes,
-                    seed=seed,
-                    on_preference=lambda _: progress.update(),
-                    **{**setting.arguments, "scene": scene},
-                )
-            )
-    drives = [
-        {
-            name: style.of_sweep(result.paths, result.scenes, row)
-            for row, name in enumerate(loaded.preference_space.tunable)
-        }
-        for result in results
-    ]
-    success = results[0].metrics["success"].float().mean(-1).tolist()
-    return Comparison(
-        style.of_demonstrations(data),
-        *drives,
-        success=dict(zip(loaded.preference_space.tunable, success, strict=True)),
-    )
-
-
-def draw(path: Path, results: Comparison) -> None:
-    """The drives that were shown, and those of every corner preference, in scenes without boxes."""
-    objectives = known(results.free)
-    fig, axes = plt.subplots(
-        *(1, 1 + len(objectives)),
-        figsize=(3.6 * (1 + len(objectives)), 3.9),
-        sharex=True,
-        sharey=True,
-        layout="constrained",
-    )
-    panels = [("your drives", "black", results.shown)]
-    panels += [(f"{one.label} = 1", one.color, results.free[one.name]) for one in objectives]
-    for ax, (title, color, drives) in zip(axes, panels, strict=True):
-        for behind in () if drives is results.shown else range(len(results.shown)):
-            points = results.shown.position[behind][results.shown.mask[behind]]
-            ax.plot(*points.T, color="0.8", linewidth=0.8)
-        for position, mask in zip(drives.position[:40], drives.mask[:40]):
-            ax.plot(*position[mask].T, color=color, linewidth=1.2, alpha=0.5)
-        ax.add_patch(plt.Circle((0, 0), HUMAN_RADIUS, color="#d55e00", zorder=4))
-        ax.set_title(title)
-        ax.set_aspect("equal")
-        ax.set_xlim(-4, 4)
-        ax.set_ylim(-3.2, 3.2)
-        ax.set_xlabel("m, towards the goal")
-        ax.grid(alpha=0.3)
-    axes[0].set_ylabel("m, to the left")
-    fig.suptitle(
-        "Every drive seen from the human (orange); your drives in grey. "
-        f"At demonstration = 1, {100 * results.free[DEMO].on(results.shown.side):.0f} % pass on the "
-        f"{results.shown.side}, as you did.",
-        fontsize=11,
-    )
-    fig.savefig(path, dpi=110)
-    plt.close(fig)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,8 @@ from typing import IO, Any
 
 from . import stages
 from .arguments import Parser, episodes, existing_folder
-from .stages import Record, refuse_places
+from .record import Record, begin, locked, refuse_used, to_resume
+from .stages import refuse_places
 from .training.quoting import quoted
 from .training.run_folder import final_policy, last_policy
 
@@ -45,7 +46,7 @@ def main() -> None:
         train(record)
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     parser = Parser(description=__doc__)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--output", type=Path, help="folder to write; must not exist, or be empty")
@@ -90,9 +91,9 @@ def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
     if args.without_pd_morl:
         check_without_pd_morl(args)
     if args.output is not None:
-        stages.refuse_used(args.output)
+        refuse_used(args.output)
     check(options, args.output or _RUNS / "new")
-    return stages.begin(_RUNS, args.output, options, "recipes.train")
+    return begin(_RUNS, args.output, options, "recipes.train")
 
 
 def check_without_pd_morl(args: argparse.Namespace) -> None:
@@ -117,7 +118,7 @@ def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
     Raises:
         ValueError: if it is over, if it is none, or for options that would change it.
     """
-    record = stages.to_resume(
+    record = to_resume(
         args.resume,
         drex=list,
         pd_morl=list,
@@ -127,11 +128,10 @@ def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
         paper=(bool, type(None)),
         episodes=int,
     )
-    given = (args.drex, args.pd_morl, args.mo_ppo)
-    if any((*given, args.without_pd_morl, args.without_mo_ppo, args.paper)):
+    if make_parser().changed(args) - {"resume"}:
         raise ValueError("--resume goes on with the options of the start: give no others.")
     check(record.options, record.folder)
-    held = stages.locked(record)
+    held = locked(record)
     # Another process may have gone on with it, and finished, in the meantime.
     return Record.load(record.folder), held
 

@@ -26,19 +26,15 @@ _FASTEST_HUMAN = 3.0
 
 def bags(path: Path) -> list[Path]:
     """The bags at a path: itself, or those in a folder; empty if there are none."""
-    if path.suffix.lower() in _SUFFIXES or (path / "metadata.yaml").is_file():
+    if _is_bag(path):
         # A ROS 2 bag of sqlite3 is its folder: the file alone has no list of its topics.
         alone = path.suffix.lower() == ".db3" and (path.parent / "metadata.yaml").is_file()
         return [path.parent if alone else path]
-    if not path.is_dir():
-        return []
-    return [
-        one for entry in sorted(path.iterdir()) for one in (bags(entry) if _like(entry) else [])
-    ]
+    return sorted(filter(_is_bag, path.iterdir())) if path.is_dir() else []
 
 
-def _like(entry: Path) -> bool:
-    return entry.suffix.lower() in _SUFFIXES or (entry / "metadata.yaml").is_file()
+def _is_bag(path: Path) -> bool:
+    return path.suffix.lower() in _SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 class BagFile:
@@ -81,7 +77,7 @@ class BagFile:
                 self._drives[name] = drive
         if not self._drives:
             raise ValueError(f"{path} holds no drive: no pose of the robot comes after a goal.")
-        self._boxes = None if boxes is None else BoxFile(boxes, path, self._drives)
+        self._boxes = BoxFile(boxes, path, self._drives)
 
     def __len__(self) -> int:
         return len(self._drives)
@@ -97,15 +93,13 @@ class BagFile:
                 "goal_x": np.full(len(robot.time), goal[0]),
                 "goal_y": np.full(len(robot.time), goal[1]),
             }
-            faults = [fault] if fault else []
-            boxes = self._boxes.around(name) if self._boxes else np.zeros((0, 5))
             yield make_recording(
                 name,
                 values,
-                boxes,
+                self._boxes.around(name),
                 where="point",
                 rows=np.arange(len(robot.time)),
-                faults=[*faults, *(self._boxes.faults(name) if self._boxes else ())],
+                faults=[*([fault] if fault else []), *self._boxes.faults(name)],
             )
 
     def _cut(
@@ -113,7 +107,7 @@ class BagFile:
     ) -> Iterator[tuple[Track, Track, np.ndarray]]:
         """Robot, human and goal of each drive."""
         robot = self._in_order(bag, tracks["robot"])
-        human = _fixed(bag, tracks["human"], robot, "human")
+        human = _nearest(_fixed(bag, tracks["human"], robot, "human"), robot)
         if "goal" in tracks:
             goals = _fixed(bag, tracks["goal"], robot, "goal")
             starts, places = _new_goals(goals)
@@ -155,14 +149,30 @@ def _fixed(bag: Path, track: Track, robot: Track, what: str) -> Track:
             f"record both in one frame, or choose another --robot-topic or --{what}-topic."
         )
     points = []
-    for time, seen in zip(track.time, track.points):
-        at = robot.points[int(np.abs(robot.time - time).argmin())][0]
+    for index, seen in zip(_closest(robot.time, track.time), track.points):
+        at = robot.points[index][0]
         cos, sin = math.cos(at[2]), math.sin(at[2])
         turned = seen.copy()
         turned[:, 0] = at[0] + cos * seen[:, 0] - sin * seen[:, 1]
         turned[:, 1] = at[1] + sin * seen[:, 0] + cos * seen[:, 1]
         points.append(turned)
     return Track(track.time, points, robot.frame)
+
+
+def _closest(times: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """Index of the time that is closest to each that is asked for; times rise."""
+    return np.searchsorted((times[1:] + times[:-1]) / 2, asked)
+
+
+def _nearest(human: Track, robot: Track) -> Track:
+    """Of the people in each message the one nearest to the robot; without messages of nobody."""
+    told = np.array([len(points) > 0 for points in human.points], dtype=bool)
+    people = [points for points in human.points if len(points)]
+    points = []
+    for index, seen in zip(_closest(robot.time, human.time[told]), people):
+        away = np.hypot(*(seen[:, :2] - robot.points[index][0, :2]).T)
+        points.append(seen[int(away.argmin())][None])
+    return Track(human.time[told], points, human.frame)
 
 
 def _new_goals(goals: Track) -> tuple[list[float], list[np.ndarray]]:
@@ -215,17 +225,10 @@ def _between_stands(robot: Track) -> list[slice]:
 
 
 def _human_at(robot: Track, human: Track, gap: float) -> tuple[np.ndarray, str | None]:
-    """Where the nearest human was at each point of the robot ``[T, 2]``, and what is not known."""
-    time, places = [], []
-    for when, points in zip(human.time, human.points):
-        if len(points):
-            index = min(int(np.searchsorted(robot.time, when)), len(robot.time) - 1)
-            away = np.hypot(*(points[:, :2] - robot.points[index][0, :2]).T)
-            time.append(when)
-            places.append(points[int(away.argmin()), :2])
-    if not time:
+    """Where the human was at each point of the robot ``[T, 2]``, and what is not known."""
+    if not len(human.time):
         return np.full((len(robot.time), 2), np.nan), "no message tells of a human"
-    time, places = np.array(time), np.array(places)
+    time, places = human.time, np.concatenate(human.points)[:, :2]
     after = np.searchsorted(time, robot.time).clip(0, len(time) - 1)
     before = (after - 1).clip(0)
     before[robot.time >= time[-1]] = len(time) - 1

@@ -17,7 +17,7 @@ class BoxFile:
     """The boxes of a ``.csv`` file, by the names of the trajectories that they stand around.
 
     Args:
-        path: the file.
+        path: the file; ``None``: there are no boxes.
         drives: the file of the trajectories, for messages.
         names: of the trajectories.
 
@@ -25,9 +25,11 @@ class BoxFile:
         ValueError: if the file is not of this format, or a box belongs to no trajectory.
     """
 
-    def __init__(self, path: Path, drives: Path, names: Collection[str]) -> None:
+    def __init__(self, path: Path | None, drives: Path, names: Collection[str]) -> None:
         self._boxes: dict[str, list[list[float]]] = defaultdict(list)
         self._faults: dict[str, list[str]] = defaultdict(list)
+        if path is None:
+            return
         table = Table(path, BOX_COLUMNS)
         for line in table:
             place = f"{path}, line {line.number}"

@@ -34,7 +34,7 @@ class CsvFile:
         self.notes = self._table.notes()
         if not self._ends:
             raise ValueError(f"{path} holds no trajectory: there is nothing below the header.")
-        self._boxes = None if boxes is None else BoxFile(boxes, path, self._ends)
+        self._boxes = BoxFile(boxes, path, self._ends)
 
     def __len__(self) -> int:
         return len(self._ends)
@@ -56,10 +56,10 @@ class CsvFile:
         return make_recording(
             name,
             dict(zip(columns, values)),
-            self._boxes.around(name) if self._boxes else np.zeros((0, 5)),
+            self._boxes.around(name),
             where="line",
             rows=np.array(points.lines, dtype=np.int64),
-            faults=[*points.faults(), *(self._boxes.faults(name) if self._boxes else ())],
+            faults=[*points.faults(), *self._boxes.faults(name)],
         )
 
 

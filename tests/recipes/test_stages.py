@@ -1,8 +1,7 @@
-"""Stages: children that end with their parent, and a record of what is finished."""
+"""Stages: children that end with their parent."""
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -14,7 +13,8 @@ from pathlib import Path
 import pytest
 
 import recipes
-from recipes.stages import Record, lock, run, unfinished
+from recipes.record import lock
+from recipes.stages import run
 
 ROOT = Path(recipes.__file__).parents[1]
 # A stage that says who it is, and what it is told.
@@ -99,7 +99,7 @@ def test_a_stage_that_saves_keeps_the_lock_of_a_parent_that_was_killed(tmp_path)
         "open('begun', 'w').close()\n"
         "time.sleep(60)\n"
     )
-    code = "from pathlib import Path; from recipes.stages import lock, run\n"
+    code = "from pathlib import Path; from recipes.record import lock; from recipes.stages import run\n"
     code += "with lock(Path('.')): run('it', ['stage'])"
     path = os.pathsep.join([str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")])
     environ = {**os.environ, "PYTHONPATH": path}
@@ -130,40 +130,3 @@ def test_a_stage_that_fails_is_named():
 def test_a_stage_is_shown_as_a_shell_takes_it(capfd):
     assert run("it", ["timeit", "-n1", "-r1", "1 + 1"]) > 0
     assert "--- it: python -m timeit -n1 -r1 '1 + 1'" in capfd.readouterr().out
-
-
-def test_a_record_is_what_was_saved(tmp_path):
-    record = Record(tmp_path, {"drex": ["seed=1"], "episodes": 5})
-    record.begin("D-REX", ["recipes.drex.drex", "seed=1"], "drex")
-    read = Record.load(tmp_path)
-    assert read == record
-    assert read.folder_of("D-REX") == tmp_path / "drex"
-    assert not read.is_finished("D-REX") and not read.is_finished("PD-MORL")
-    assert read.folder_of("PD-MORL") is None
-    record.finish("D-REX", 1.5)
-    assert Record.load(tmp_path).is_finished("D-REX")
-    assert [path.name for path in tmp_path.iterdir()] == ["stages.json"]
-
-
-@pytest.mark.parametrize(
-    "content", ["", "[]", "{}", '{"options": [], "stages": {}, "finished": false}', "[" * 100_000]
-)
-def test_a_record_that_cannot_be_read_is_named(content, tmp_path):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "stages.json").write_text(content)
-    with pytest.raises(ValueError, match=r"stages\.json cannot be read: "):
-        Record.load(tmp_path / "run")
-    assert unfinished(tmp_path) is None
-
-
-def test_the_latest_unfinished_training_that_nobody_works_on(tmp_path):
-    assert unfinished(tmp_path) is None
-    for name, finished in (("1", False), ("2", False), ("3", True)):
-        (tmp_path / name).mkdir()
-        content = {"options": {}, "stages": {}, "finished": finished}
-        (tmp_path / name / "stages.json").write_text(json.dumps(content))
-    assert unfinished(tmp_path) == tmp_path / "2"
-    with lock(tmp_path / "2"):
-        assert lock(tmp_path / "2") is None
-        assert unfinished(tmp_path) == tmp_path / "1"
-    assert unfinished(tmp_path) == tmp_path / "2"

@@ -9,7 +9,9 @@ import pytest
 
 import recipes.stages
 import recipes.teach as teach
+from tests._bags import drive, write_bag
 from tests._command import ROOT, run, run_here
+from torchrl_morl.data import load_demonstrations
 from torchrl_morl.deploy import load_policy
 
 DRIVES = str(ROOT / "examples" / "drives_right.csv")
@@ -156,7 +158,13 @@ def test_a_lesson_that_was_cut_short_goes_on(stages_run, tmp_path, monkeypatch, 
     with pytest.raises(SystemExit):
         run_here(teach.main, DRIVES, "--output", str(lesson))
     assert "holds an unfinished training: go on with --resume" in capsys.readouterr().err
-    for given in ([DRIVES], ["--full"], ["--drex", "seed=3"]):
+    for given in (
+        [DRIVES],
+        ["--full"],
+        ["--drex", "seed=3"],
+        ["--robot", "hsr"],
+        ["--episodes", "5"],
+    ):
         with pytest.raises(SystemExit):
             run_here(teach.main, "--resume", str(lesson), *given)
         assert "give no others" in capsys.readouterr().err
@@ -172,6 +180,17 @@ def test_a_lesson_that_was_cut_short_goes_on(stages_run, tmp_path, monkeypatch, 
     assert (lesson / "demonstrations.safetensors").is_file()
     assert stages_run[2:] == [["recipes.pd_morl.pd_morl", f"resume={lesson / 'pd_morl'}"]]
     assert ended == [lesson / "pd_morl" / "policy"]
+
+
+def test_a_bag_is_a_recording_too(stages_run, tmp_path):
+    pytest.importorskip(
+        "rosbags", reason="rosbags is not installed: pip install -c constraints.txt rosbags"
+    )
+    bag = write_bag(tmp_path / "bag", drive())
+    with pytest.raises(SystemExit):
+        run_here(teach.main, str(bag), "--output", str(tmp_path / "lesson"))
+    data, about = load_demonstrations(tmp_path / "lesson" / "demonstrations.safetensors")
+    assert (len(data), about["source"], about["accepted"]) == (1, "bag", ["bag"])
 
 
 def test_what_is_no_lesson_is_not_gone_on_with(tmp_path, capsys):

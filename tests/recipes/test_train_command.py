@@ -10,7 +10,7 @@ import pytest
 
 import recipes.stages
 import recipes.train
-from recipes.stages import Record, lock
+from recipes.record import Record, lock
 
 
 @pytest.fixture

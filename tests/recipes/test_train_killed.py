@@ -14,7 +14,7 @@ from torchrl.envs import RewardScaling
 
 import recipes.stages
 import recipes.train
-from recipes.stages import Record
+from recipes.record import Record
 from recipes.training import command
 from recipes.training.checkpoint import BufferState
 from recipes.training.run_folder import is_over

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from torchrl_morl.deploy import Policy, PolicyRunner
 
 from .frames import Lookup
+from .geometry import Pose
 from .inputs import Fault, Inputs
 from .settings import Settings
 
@@ -121,9 +122,7 @@ class Driver:
         human, velocity = inputs.nearest(robot, now), None
         if human and sensing.observe_human_velocity and human.velocity:
             # From the fixed frame to ahead and left.
-            east, north = human.velocity
-            cos, sin = math.cos(robot.yaw), math.sin(robot.yaw)
-            velocity = cos * east + sin * north, cos * north - sin * east
+            velocity = Pose(0.0, 0.0, -robot.yaw).apply(human.velocity)
         command = runner.step(
             inputs.ranges,
             goal=goal,

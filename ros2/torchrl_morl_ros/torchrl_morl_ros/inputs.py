@@ -45,6 +45,12 @@ class Inputs:
 
     def __post_init__(self) -> None:
         settings = self.settings
+        given = {
+            "scan": settings.scan_timeout,
+            "odom": settings.odom_timeout,
+            "human": settings.human_timeout,
+        }
+        self.timeouts = {name: value or self.period for name, value in given.items()}
         self.frames = Frames(settings.base_frame_id, settings.odom_frame_id, self.lookup)
         self.ranges: np.ndarray | None = None
         self.lidar: LidarGeometry | None = None
@@ -54,17 +60,6 @@ class Inputs:
         self._mount: dict[str, tuple[Pose, bool]] = {}
         self._goal: Any = None
         self.arrived = False
-
-    @property
-    def timeouts(self) -> dict[str, float]:
-        """Of each kind of input, seconds."""
-        settings = self.settings
-        given = {
-            "scan": settings.scan_timeout,
-            "odom": settings.odom_timeout,
-            "human": settings.human_timeout,
-        }
-        return {name: value or self.period for name, value in given.items()}
 
     # --- messages --------------------------------------------------------------------------------
 
@@ -134,7 +129,7 @@ class Inputs:
             if name == "human" and self.settings.human_message == "none":
                 continue
             found = self._late(name, now) or self._faults.get(name)
-            if found and not (found.reason == "human lost" and self._may_be_lost):
+            if found and (found.reason != "human lost" or self.settings.human_lost == "stop"):
                 return found
         if self._faults.get("goal"):
             return self._faults["goal"]
@@ -156,22 +151,17 @@ class Inputs:
 
     def nearest(self, robot: Pose, now: float) -> Seen | None:
         """Of the people that are there, the nearest one."""
-        if self.settings.human_message == "none" or self._late("human", now):
-            return None
-        return min(self.people, key=lambda one: robot.polar(one.position)[0], default=None)
+        people = [] if self._late("human", now) else self.people
+        return min(people, key=lambda one: robot.polar(one.position)[0], default=None)
 
     def oldest(self, now: float) -> float:
         """When the oldest input was measured that counts at this time."""
         names = ["scan", "odom"]
-        if self.people and self.nearest(Pose(0.0, 0.0, 0.0), now):
+        if self.people and not self._late("human", now):
             names.append("human")
         return min(self.stamps[name] for name in names)
 
     # --- parts -----------------------------------------------------------------------------------
-
-    @property
-    def _may_be_lost(self) -> bool:
-        return self.settings.human_lost == "nobody"
 
     def _begin(self, name: str, message: Any) -> None:
         self.stamps[name] = messages.seconds(message.header.stamp)

@@ -48,6 +48,7 @@ class PolicyNode(LifecycleNode):
             ParameterDescriptor(description=_PREFERENCE),
         )
         self.add_on_set_parameters_callback(self._may_be_set)
+        self.add_post_set_parameters_callback(self._were_set)
         # Of wall time: it looks after the other clock.
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._driver: Driver | None = None
@@ -140,10 +141,15 @@ class PolicyNode(LifecycleNode):
                 return SetParametersResult(successful=False, reason=reason)
             if parameter.name == "preference":
                 try:
-                    self._driver.preference = self._driver.checked(parameter.value or ())
+                    self._driver.checked(parameter.value or ())
                 except ValueError as error:
                     return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _were_set(self, parameters: list[Parameter]) -> None:
+        for parameter in parameters:
+            if self._driver is not None and parameter.name == "preference":
+                self._driver.preference = self._driver.checked(parameter.value)
 
     def _human_type(self) -> type | None:
         kind = self._settings.human_message
@@ -223,9 +229,8 @@ class PolicyNode(LifecycleNode):
         if value == list(self._driver.preference):
             return
         # Through the parameter: one place tells which preference holds.
-        result = self.set_parameters([Parameter("preference", Parameter.Type.DOUBLE_ARRAY, value)])[
-            0
-        ]
+        parameter = Parameter("preference", Parameter.Type.DOUBLE_ARRAY, value)
+        (result,) = self.set_parameters([parameter])
         if not result.successful:
             self.get_logger().warning(f"{result.reason} The last one holds.")
 

@@ -59,10 +59,9 @@ class SimulatedRobot(Node):
             "human_message": "geometry_msgs/msg/PoseStamped",
             "next_scene": True,
         }
-        given = {
+        self._given = given = {
             name: self.declare_parameter(name, value).value for name, value in defaults.items()
         }
-        self._given = given
         self.env = _Often(
             num_envs=1,
             scene=given["scene"],
@@ -125,9 +124,7 @@ class SimulatedRobot(Node):
             self.velocity = (0.0, 0.0)
         else:
             before = self.pose.copy()
-            self.state["action"] = self.env.action_spec.zero() + self.state["goal"].new_tensor(
-                command
-            )
+            self.state["action"] = self.state["goal"].new_tensor([command])
             self.state = step_mdp(self.env.step(self.state))
             moved = self.pose - before
             turned = math.remainder(moved[2], 2 * math.pi)
@@ -230,13 +227,11 @@ def main(args: list[str] | None = None) -> None:
                 what = "goal reached" if robot.succeeded else "episode over"
                 robot.get_logger().info(f"{what} after {steps * robot.period:.1f} s, next scene")
                 robot.begin()
-                steps = 0
-                told = 0
-            # Whoever comes later is told, too.
-            listeners = robot.listeners
-            if steps >= 20 and listeners > told:
-                robot.send_goal()
-            told = listeners if steps >= 20 else told
+                steps = told = 0
+            if steps >= 20:  # whoever comes later is told, too
+                if robot.listeners > told:
+                    robot.send_goal()
+                told = robot.listeners
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:

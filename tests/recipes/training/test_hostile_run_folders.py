@@ -12,7 +12,7 @@ import recipes
 from recipes import stages
 from recipes.benchmark.schema import PDMORLConfig
 from recipes.pd_morl.schema import Config
-from recipes.stages import Record
+from recipes.record import Record, to_resume
 from recipes.training.overrides import prepared, resumed
 from recipes.training.run_folder import is_over, score
 from recipes.training.validation import ConfigurationError
@@ -138,7 +138,7 @@ def test_a_record_says_nothing_but_what_a_command_writes(options, its_stages, tm
     content = {"options": OPTIONS | options, "stages": its_stages, "finished": False}
     (tmp_path / "stages.json").write_text(json.dumps(content))
     with pytest.raises(ValueError, match=r"stages\.json") as refused:
-        stages.to_resume(tmp_path, **TYPES)
+        to_resume(tmp_path, **TYPES)
     assert len(str(refused.value).splitlines()) == 1
 
 
@@ -146,7 +146,7 @@ def test_a_record_of_the_command_is_taken(tmp_path):
     record = Record(tmp_path, OPTIONS)
     record.begin("D-REX", ["recipes.drex.drex"], "drex")
     record.begin("evaluation", ["recipes.evaluate"], None)
-    assert stages.to_resume(tmp_path, **TYPES) == record
+    assert to_resume(tmp_path, **TYPES) == record
 
 
 @pytest.mark.parametrize(

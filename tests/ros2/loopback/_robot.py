@@ -36,6 +36,10 @@ class Moment(NamedTuple):
     goal: tuple[float, float]
     human: tuple[float, float]
 
+    @property
+    def stands(self) -> bool:
+        return abs(self.speed) < 0.01 and abs(self.turn_rate) < 0.05
+
 
 class Robot(SimulatedRobot):
     """Remembers, and has faults: ``silent``, ``stale`` and ``nan`` scans, ``lost`` humans."""
@@ -94,7 +98,7 @@ class Robot(SimulatedRobot):
 
     @property
     def stands(self) -> bool:
-        return abs(self.velocity[0]) < 0.01 and abs(self.velocity[1]) < 0.05
+        return self.moments[-1].stands
 
     # --- time
 
@@ -122,15 +126,18 @@ class Robot(SimulatedRobot):
 
     def set_parameter(self, name: str, value):
         """Ask the node by its service; what it answers."""
-        client = self.create_client(SetParameters, "/policy_node/set_parameters")
-        assert client.wait_for_service(timeout_sec=10)
-        request = SetParameters.Request(
-            parameters=[Parameter(name, value=value).to_parameter_msg()]
-        )
+        parameter = Parameter(name, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[parameter])
+        return self.ask(SetParameters, "set_parameters", request).results[0]
+
+    def ask(self, kind, name: str, request):
+        """What a service of the node answers."""
+        client = self.create_client(kind, f"/policy_node/{name}")
+        assert self.run(client.service_is_ready, STARTS)
         future = client.call_async(request)
-        assert self.run(future.done, 10)
+        assert self.run(future.done, 30)
         self.destroy_client(client)
-        return future.result().results[0]
+        return future.result()
 
 
 class NodeProcess:
@@ -142,22 +149,27 @@ class NodeProcess:
         given = {"policy": POLICY, "autostart": "true", **parameters}
         given = {name: value for name, value in given.items() if value is not None}
         words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
-        self.log, self._interrupted = log, False
+        self._arguments, self.log = ["--ros-args", *words], log
+        self.start()
+
+    def start(self) -> None:
+        """Another process, with the same parameters, into the same log."""
+        self._interrupted = False
         path = os.pathsep.join([str(ROOT), str(ROOT / "ros2" / "torchrl_morl_ros")])
-        self._out = log.open("a")
+        self._out = self.log.open("a")
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "torchrl_morl_ros", "--ros-args", *words],
+            [sys.executable, "-m", "torchrl_morl_ros", *self._arguments],
             env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
             stdin=subprocess.DEVNULL,
             stdout=self._out,
             stderr=subprocess.STDOUT,
         )
-
         self.running.append(self.process)
 
     def kill(self) -> None:
-        self.process.send_signal(signal.SIGKILL)
-        self.process.wait(10)
+        """As a crash does; it may take a while until all its memory is given back."""
+        self.process.kill()
+        self._out.close()
 
     def interrupt(self) -> None:
         """As Ctrl-C does, once."""

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 
 import pytest
 
-HAS_ROS = importlib.util.find_spec("rclpy") is not None
 TABLE: list[tuple[str, ...]] = []
 """Delays that the tests have measured, for the end of the report."""
-
-if not HAS_ROS:
-    collect_ignore_glob = ["*.py"]
 
 
 def pytest_terminal_summary(terminalreporter) -> None:

@@ -6,6 +6,8 @@ import itertools
 
 import numpy as np
 import pytest
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
 
 from envs.policy_env import lidar_geometry
 from torchrl_morl.deploy import PolicyRunner, load_policy
@@ -134,6 +136,18 @@ def test_what_is_read_when_configured_is_refused_later(robot):
     answer = robot.set_parameter("max_speed", 0.1)
     assert not answer.successful
     assert answer.reason == "max_speed is read when the node is configured: clean it up first"
+
+
+def test_a_preference_that_is_set_with_what_is_refused_is_not_taken(robot):
+    assert robot.set_parameter("preference", [0.0, 0.5, 0.5]).successful
+    both = [Parameter("preference", value=[1.0, 0.0, 0.0]), Parameter("max_speed", value=0.1)]
+    request = SetParametersAtomically.Request(parameters=[one.to_parameter_msg() for one in both])
+    assert not robot.ask(
+        SetParametersAtomically, "set_parameters_atomically", request
+    ).result.successful
+    told = len(robot.told)
+    assert robot.run(lambda: len(robot.told) > told + 1, 30)
+    assert robot.told[-1][1]["preference demo"] == "0.000"
 
 
 def test_a_clock_that_stands_still(robot):

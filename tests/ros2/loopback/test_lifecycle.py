@@ -26,22 +26,13 @@ def unconfigured(loopback, robot):
     assert node.end() == 0
 
 
-def call(robot: Robot, kind, name: str, request):
-    client = robot.create_client(kind, f"/policy_node/{name}")
-    assert robot.run(client.service_is_ready, STARTS)
-    future = client.call_async(request)
-    assert robot.run(future.done, 30)
-    robot.destroy_client(client)
-    return future.result()
-
-
 def change(robot: Robot, transition: int) -> bool:
     request = ChangeState.Request(transition=Transition(id=transition))
-    return call(robot, ChangeState, "change_state", request).success
+    return robot.ask(ChangeState, "change_state", request).success
 
 
 def state(robot: Robot) -> int:
-    return call(robot, GetState, "get_state", GetState.Request()).current_state.id
+    return robot.ask(GetState, "get_state", GetState.Request()).current_state.id
 
 
 def test_it_is_managed(loopback, robot):
@@ -91,7 +82,7 @@ def test_it_is_managed(loopback, robot):
     ],
 )
 def test_a_parameter_that_makes_no_sense_is_a_line(robot, unconfigured, name, value, line):
-    before = call(robot, GetParameters, "get_parameters", GetParameters.Request(names=[name]))
+    before = robot.ask(GetParameters, "get_parameters", GetParameters.Request(names=[name]))
     assert robot.set_parameter(name, value).successful
     lines = len(unconfigured.said().splitlines())
     assert not change(robot, Transition.TRANSITION_CONFIGURE)
