@@ -11,8 +11,9 @@ import torch
 from recipes.choices import __main__ as command
 from recipes.choices.dialogue import Dialogue
 from recipes.choices.people import KINDS, Drives, Person, in_units, people, units_of
-from recipes.choices.rollouts import Request, load, outcomes, raw_outcomes, save
+from recipes.choices.rollouts import Request, described, joint_outcomes, load, raw_outcomes, save
 from recipes.choices.trials import AFTER, Mind, Place, asked, compared, stated
+from recipes.evaluation.setting import choose
 from recipes.evaluation.sweep import sweep
 from tests._sweeps import BEND, SPACE, is_png
 from torchrl_morl.choices import PreferencePosterior, standardize
@@ -65,7 +66,7 @@ def test_drives_are_what_was_saved(tmp_path, drives):
         load(path, other)
     path.write_bytes(b"nothing")
     with pytest.raises(ValueError, match="holds no rollouts"):
-        load(path)
+        load(path, REQUEST)
 
 
 def test_outcomes_are_better_where_the_metric_is(drives):
@@ -73,10 +74,29 @@ def test_outcomes_are_better_where_the_metric_is(drives):
     assert raw.shape == (6, 5, 2)
     distance = drives.metrics["min_human_distance"].T
     torch.testing.assert_close(raw[..., 0], distance.clamp(max=2.0).float())
-    assert (raw[..., 1] < 0).all() and outcomes(drives).isfinite().all()
+    assert (raw[..., 1] < 0).all()
+    # Two places have one unit: what is twice as far apart in one of them counts twice.
+    twice = drives.metrics.clone()
+    twice["time"] = 2 * twice["time"]
+    far = dataclasses.replace(drives, metrics=twice)
+    near, far = (joint_outcomes({"near": drives, "far": far})[x] for x in ("near", "far"))
+    torch.testing.assert_close(far[..., 1], 2 * near[..., 1])
+    torch.testing.assert_close(far[..., 0], near[..., 0])
 
 
-def test_five_answers_then_resumed(tmp_path, monkeypatch, capsys, quick):
+def test_a_scene_that_is_edited_is_driven_anew(tmp_path):
+    fields = "start: [0, 0, 0]\ngoal: [{goal}, 0]\nhuman: [3, 1]\n"
+    path, words = tmp_path / "room.yaml", []
+    for goal in (6, 7):
+        path.write_text(fields.format(goal=goal))
+        words.append(described(choose({}, scene=str(path)), str(path)))
+    assert words[0] != words[1] and all(one.startswith("scene room-") for one in words)
+    files = {dataclasses.replace(REQUEST, setting=one).file(tmp_path) for one in words}
+    assert len(files) == 2
+    assert described(choose({}, scene="corridor"), "corridor").startswith("scene corridor,")
+
+
+def test_three_answers_then_resumed(tmp_path, monkeypatch, capsys, quick):
     folder = tmp_path / "ann"
     run(monkeypatch, "--answers", "1,2,=", "--output", folder)
     printed = capsys.readouterr().out
