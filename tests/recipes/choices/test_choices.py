@@ -138,18 +138,25 @@ def test_typed_answers_end_with_the_input(tmp_path, monkeypatch, capsys, quick):
     [
         (["--answers", "1,left"], "'left' must be one of 1, 2, =, n, u, s"),
         (["--scene", "static", "static"], "names a scene twice"),
+        (["--scene", "static", "../static.yaml"], "names a scene twice: static, static"),
         (["--resume", "."], "holds no choices of this command"),
+        (
+            ["--resume", ".", "--seed", "40"],
+            "--seed is of a new dialogue, --resume . keeps its own",
+        ),
         (["--seed", "0"], "Seed 0 draws scenes for training"),
         (["--resume", "nowhere"], "must be a folder, 'nowhere' does not exist"),
     ],
 )
 def test_mistakes_are_one_line(arguments, message, monkeypatch, capsys, quick, tmp_path):
-    monkeypatch.chdir(tmp_path)
+    (tmp_path / "static.yaml").write_text("start: [0, 0, 0]\ngoal: [6, 0]\nhuman: [3, 1]\n")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
     with pytest.raises(SystemExit):
         run(monkeypatch, *arguments)
     printed = capsys.readouterr()
     assert message in printed.err and printed.err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+    assert list((tmp_path / "here").iterdir()) == []
 
 
 def test_an_old_folder_is_kept(tmp_path, monkeypatch, capsys, quick):
