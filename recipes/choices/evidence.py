@@ -90,6 +90,7 @@ def one_context(args, place: Place) -> dict:
                     ),
                     "stated weights": [said] * len(AFTER),
                     "stated weights, exact": [exact] * len(AFTER),
+                    "their utility, known": [mind.floor(answers) for answers in AFTER],
                 }
                 for way, row in ways.items():
                     rows.setdefault(way, []).append(row)

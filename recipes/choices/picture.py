@@ -82,7 +82,7 @@ def chosen_picture(
         for ax in axes.flat[scenes:]:
             ax.set_axis_off()
         for scene, ax in zip(range(scenes), axes.flat, strict=False):
-            for row in _others(result):
+            for row in range(0, len(result.preferences), 5):
                 position = _path(result, scene, row)
                 ax.plot(*position.T, color="0.82", linewidth=1, zorder=1)
             _scene(ax, result, scene, goal_radius)
@@ -94,11 +94,6 @@ def chosen_picture(
         fig.savefig(path, dpi=90)
     plt.close(fig)
     return path
-
-
-def _others(result: Sweep) -> range:
-    """Every fifth preference: enough to see what the policy can do."""
-    return range(0, len(result.preferences), 5)
 
 
 def _path(result: Sweep, scene: int, row: int) -> np.ndarray:
@@ -113,9 +108,10 @@ def _scene(ax: plt.Axes, result: Sweep, scene: int, goal_radius: float) -> None:
         shown = result.demonstration[scene]
         points = np.asarray(shown["position"][shown["mask"]])
         ax.plot(*points.T, color="black", linewidth=1.1, dashes=(4, 2), zorder=2)
-    # The same limits for both sides of a question.
-    ends = np.concatenate([_path(result, scene, row) for row in _others(result)])
-    low, high = ends.min(0) - 0.8, ends.max(0) + 0.8
+    # Of all preferences: no drive is cut, and both sides of a question have the same.
+    paths = result.paths[:, scene]
+    points = np.asarray(paths["position"][paths["mask"]])
+    low, high = points.min(0) - 0.8, points.max(0) + 0.8
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(min(low[1], -2.2), max(high[1], 2.2))
 

@@ -74,7 +74,13 @@ class Mind:
 
     def regret(self, preference: Tensor, answers: int) -> float:
         """What a preference misses in unseen scenes: 0 for the best for the person, 1 for the worst."""
-        index = int((self._preferences - preference).norm(dim=-1).argmin())
+        return self._regret(int((self._preferences - preference).norm(dim=-1).argmin()), answers)
+
+    def floor(self, answers: int) -> float:
+        """The regret of what is best in the known scenes by what the person really feels."""
+        return self._regret(int(self.felt(answers).mean(0).argmax()), answers)
+
+    def _regret(self, index: int, answers: int) -> float:
         mean = self._unseen[self._person.changed(answers)]
         return float((mean.max() - mean[index]) / (mean.max() - mean.min()))
 

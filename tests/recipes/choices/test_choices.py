@@ -219,3 +219,5 @@ def test_regret_falls_with_answers(place):
     assert trial.regret["best"][-1] < 0.05 < trial.claimed[0]
     assert compared(person, mind, place, 0, scenes=5)[-1] < 0.3
     assert stated(person, mind, 0, error=0.0) == 0.0
+    # Far is best for them in all scenes alike, and near is worst: their utility misses nothing.
+    assert mind.floor(0) == 0.0 and mind.regret(torch.tensor([1.0, 0.0, 0.0]), 0) > 0.9
