@@ -17,18 +17,20 @@ Examples::
 from __future__ import annotations
 
 import json
+import shlex
 import webbrowser
-from collections.abc import Iterator
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import torch
 
-from envs import SCENES
+from envs import SCENES, get_scene
 from torchrl_morl.choices import PreferencePosterior
 
 from ..arguments import Parser, count, existing_folder, seed
 from ..evaluation.setting import scene_seed
-from ..evaluation.sweep import SHIPPED_POLICY
+from ..evaluation.sweep import SHIPPED_POLICY, Sweep
 from ..outputs import claim_folder
 from .dialogue import KEYS, POSTERIOR, Dialogue
 from .rollouts import obtain
@@ -85,6 +87,7 @@ def main() -> None:
     place.add_argument("--output", type=Path, help="new folder (default: runs/choices/person)")
     place.add_argument("--resume", type=existing_folder, help="folder of an earlier call")
     args = parser.parse_args()
+    check_resumed(parser, args)
     torch.set_num_threads(1)
     try:
         answers = iter(parse_answers(args.answers)) if args.answers is not None else typed()
@@ -96,23 +99,48 @@ def main() -> None:
     print("\n".join(dialogue.lines()))
     print("\n".join(f"written: {path}" for path in written))
     print(f"go on: python -m recipes.choices --resume {dialogue.folder}")
-    for context, best in dialogue.best().items():
-        weights = ",".join(f"{value:.1f}" for value in best.preference.tolist())
-        print(f"drive so: python -m recipes.evaluate --scene {context} --preferences {weights}")
+    setting = json.loads((dialogue.folder / SETTING).read_text())
+    for scene, best in zip(setting["scene"], dialogue.best().values(), strict=True):
+        print(f"drive so: {drive_command(setting['policy'], scene, best.preference.tolist())}")
 
 
-def started(args) -> Dialogue:
+def drive_command(policy: str, scene: str | None, preference: Sequence[float]) -> str:
+    """What drives a policy in a scene, ``None`` for that of its training, as one would type it.
+
+    Examples:
+        >>> drive_command("my policy", "room.yaml", [0.2, 0.8])
+        "python -m recipes.evaluate --policy 'my policy' --scene room.yaml --preferences 0.2,0.8"
+    """
+    words = ["python", "-m", "recipes.evaluate"]
+    if policy != str(SHIPPED_POLICY):
+        words += ["--policy", policy]
+    if scene is not None:
+        words += ["--scene", scene]
+    return shlex.join([*words, "--preferences", ",".join(f"{value:.1f}" for value in preference)])
+
+
+def check_resumed(parser: Parser, args: Namespace) -> None:
+    """Refuse options that a dialogue keeps from its first call."""
+    for name in ("policy", "scene", "scenes", "seed", "question_seed"):
+        if args.resume and getattr(args, name) != parser.get_default(name):
+            parser.error(
+                f"--{name.replace('_', '-')} is of a new dialogue, --resume {args.resume} keeps its "
+                "own: leave it out."
+            )
+
+
+def started(args: Namespace) -> Dialogue:
     """A new dialogue, in a new folder.
 
     Raises:
         ValueError: for whatever is refused; nothing is written then but drives.
     """
-    scenes = args.scene or [None]
-    if len(set(scenes)) < len(scenes):
-        raise ValueError(f"--scene {' '.join(scenes)} names a scene twice.")
+    names = [get_scene(scene).name for scene in args.scene or ()]
+    if len(set(names)) < len(names):
+        raise ValueError(f"--scene {' '.join(args.scene)} names a scene twice: {', '.join(names)}.")
     setting = {
         "policy": str(args.policy),
-        "scene": scenes,
+        "scene": args.scene or [None],
         "scenes": args.scenes,
         "seed": args.seed,
         "question_seed": args.question_seed,
@@ -146,8 +174,12 @@ def resumed(folder: Path, drives_folder: Path) -> Dialogue:
     return Dialogue(folder, drives, radii, posterior, question_seed)
 
 
-def all_drives(setting: dict, folder: Path) -> tuple[dict, dict]:
-    """Drives and goal radius of every scene, by the name of the scene."""
+def all_drives(setting: dict, folder: Path) -> tuple[dict[str, Sweep], dict[str, float]]:
+    """Drives and goal radius of every scene, by the name of the scene.
+
+    Raises:
+        ValueError: for a policy or a scene that is refused.
+    """
     drives, radii = {}, {}
     for scene in setting["scene"]:
         result, found = obtain(

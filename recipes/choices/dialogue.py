@@ -55,8 +55,7 @@ class Dialogue:
 
     def ask(self) -> tuple[str, Question]:
         """The most informative question of all contexts, the same for the same answers."""
-        best: tuple[str, Question] | None = None
-        count = self.posterior.num_answers
+        questions, count = [], self.posterior.num_answers
         for place, context in enumerate(self.posterior.contexts):
             # A resumed dialogue goes on as if it had not been interrupted.
             number = ((self.seed * 1000 + count) * 1000 + self._skipped) * 10 + place
@@ -67,10 +66,8 @@ class Dialogue:
                 valid=self._valid[context],
                 generator=torch.Generator().manual_seed(number),
             )
-            if best is None or question.information > best[1].information:
-                best = (context, question)
-        assert best is not None
-        return best
+            questions.append((context, question))
+        return max(questions, key=lambda one: one[1].information)
 
     def skip(self, context: str, question: Question) -> None:
         """Show the first drive of a question no more, and ask something else."""

@@ -6,7 +6,7 @@ Examples::
     python -m recipes.choices.evidence --contexts --output runs/choices/contexts
 
 Writes ``evidence.json`` with all numbers and prints its tables. The drives are made once, as those of
-``recipes.choices``. About ten minutes on an idle core once they are there.
+``recipes.choices``. A minute or two on a core once they are there.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ import numpy as np
 import torch
 import tqdm
 
+from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import bootstrap_interval
 
 from ..arguments import Parser, count, seed
 from ..evaluation.setting import Setting, scene_seed
 from ..evaluation.sweep import SHIPPED_POLICY, Sweep
 from ..outputs import claim_folder
-from .people import KINDS, Drives, people
+from .people import KINDS, OBJECTIVES, Drives, people
 from .rollouts import arrived, joint_outcomes, obtain
 from .trials import AFTER, Mind, Place, asked, compared, in_contexts, stated
 
@@ -89,6 +90,7 @@ def one_context(args, place: Place) -> dict:
                     ),
                     "stated weights": [said] * len(AFTER),
                     "stated weights, exact": [exact] * len(AFTER),
+                    "their utility, known": [mind.floor(answers) for answers in AFTER],
                 }
                 for way, row in ways.items():
                     rows.setdefault(way, []).append(row)
@@ -109,9 +111,6 @@ def one_context(args, place: Place) -> dict:
         "ways": groups,
         "kinds": kinds,
         "calibration": calibration(counted["choices"], claims),
-        "settings": {
-            name: str(value) for name, value in vars(args).items() if name not in ("output",)
-        },
     }
 
 
@@ -139,17 +138,15 @@ def calibration(rows: list[list[float]], claims: dict[str, list]) -> dict:
     predicted, happened = np.array(claims["predicted"]), np.array(claims["happened"])
     # The side is random: likes of the more likely one.
     likely, right = np.maximum(predicted, 1 - predicted), happened == (predicted > 0.5)
-    bins = []
-    for low in (0.5, 0.6, 0.7, 0.8, 0.9):
-        inside = (likely >= low) & (likely < low + 0.1 + 1e-9 * (low == 0.9))
-        if inside.any():
-            bins.append(
-                {
-                    "predicted": float(likely[inside].mean()),
-                    "happened": float(right[inside].mean()),
-                    "n": int(inside.sum()),
-                }
-            )
+    tenth = np.digitize(likely, (0.6, 0.7, 0.8, 0.9))
+    bins = [
+        {
+            "predicted": float(likely[tenth == number].mean()),
+            "happened": float(right[tenth == number].mean()),
+            "n": int((tenth == number).sum()),
+        }
+        for number in np.unique(tenth)
+    ]
     return {
         "claimed_regret": (100 * claimed.mean(0)).tolist(),
         "real_regret": (100 * real.mean(0)).tolist(),
@@ -171,13 +168,8 @@ def several_contexts(args, all_places: dict[str, Place]) -> dict:
                 first, other = persons[2 * index : 2 * index + 2]
                 share = 1.0 if alike == "the same" else HOW_ALIKE
                 weights = share * first.weights + (1 - share) * other.weights
-                here = dict(
-                    zip(
-                        all_places,
-                        (first, dataclasses.replace(first, weights=weights)),
-                        strict=True,
-                    )
-                )
+                there = dataclasses.replace(first, weights=weights)
+                here = dict(zip(all_places, (first, there), strict=True))
                 for sharing in SHARING:
                     rows[sharing].append(in_contexts(here, all_places, index, sharing=sharing))
                     progress.update()
@@ -215,6 +207,12 @@ def main() -> None:
     if args.seed == args.unseen_seed:
         parser.error(f"--unseen-seed {args.unseen_seed} must not be --seed: nobody has seen them.")
     try:
+        tunable = load_policy(args.policy).preference_space.tunable
+        if tunable != OBJECTIVES:
+            raise ValueError(
+                f"--policy {args.policy} weighs {', '.join(tunable)}: the people here see drives of "
+                f"policies that weigh {', '.join(OBJECTIVES)}."
+            )
         folder = claim_folder(args.output, Path("runs/choices/evidence"))
         found = places(args, ("static", "corridor") if args.contexts else ("static",))
     except (OSError, ValueError) as error:
@@ -227,6 +225,7 @@ def main() -> None:
         result = one_context(args, found["static"])
         print(f"{table(result['ways'])}\n\nby kind of person\n{table(result['kinds'])}")
         print(json.dumps(result["calibration"], indent=1))
+    result["settings"] = {key: str(value) for key, value in vars(args).items() if key != "output"}
     (folder / "evidence.json").write_text(json.dumps(result, indent=1) + "\n")
     print(f"written: {folder / 'evidence.json'}")
 

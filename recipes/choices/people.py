@@ -30,7 +30,7 @@ from torchrl_morl.choices import Answer
 from torchrl_morl.evaluation import path_irregularity
 
 from ..evaluation.sweep import Sweep
-from ..objectives import PERSONAL_SPACE
+from ..objectives import DEMO, PERSONAL_SPACE
 from .rollouts import MAX_STEPS, UNLIKE
 
 Kind = Literal["irregularity", "near", "threshold", "noise", "mind", "everything"]
@@ -38,8 +38,11 @@ Kind = Literal["irregularity", "near", "threshold", "noise", "mind", "everything
 KINDS: tuple[Kind, ...] = get_args(Kind)
 """The last one is counted apart."""
 
-OBJECTIVE_OF = ("demo", "distance", "efficiency", "efficiency")
-"""Which objective of the policy people would name for their penalties, if they were asked for weights."""
+OBJECTIVES = (DEMO, "distance", "efficiency")
+"""Of the policy whose drives they see."""
+
+_OBJECTIVE_OF = (0, 1, 2, 2)
+"""Which of these people would name for their penalties, if they were asked for weights."""
 
 NEAR = 1.2
 """Metres."""
@@ -154,7 +157,7 @@ class Person:
         return "first" if draw < likes else "second"
 
     def stated(self, generator: torch.Generator, *, error: float) -> Tensor:
-        """Weights of (demo, distance, efficiency) that they would say, ``[3]``, in tenths.
+        """Weights of :data:`OBJECTIVES` that they would say, ``[3]``, in tenths.
 
         Args:
             generator: the source of randomness.
@@ -162,10 +165,7 @@ class Person:
         Keyword Args:
             error: standard deviation of the logarithm of what is said.
         """
-        names = ("demo", "distance", "efficiency")
-        total = torch.zeros(3, dtype=torch.float64)
-        for name, weight in zip(OBJECTIVE_OF, self.weights, strict=True):
-            total[names.index(name)] += weight
+        total = self.weights.new_zeros(3).index_add_(0, torch.tensor(_OBJECTIVE_OF), self.weights)
         noise = torch.randn(3, generator=generator, dtype=torch.float64)
         said = total * (error * noise).exp()
         rounded = (10 * said / said.sum()).round()

@@ -103,23 +103,15 @@ def _path(result: Sweep, scene: int, row: int) -> np.ndarray:
 
 def _scene(ax: plt.Axes, result: Sweep, scene: int, goal_radius: float) -> None:
     layout = result.scenes[scene]
-    draw_scene(
-        ax,
-        start=layout["start"],
-        goal=layout["goal"],
-        human=layout["human"],
-        boxes=layout["boxes"],
-        human_radius=HUMAN_RADIUS,
-        goal_radius=goal_radius,
-    )
+    draw_scene(ax, **layout, human_radius=HUMAN_RADIUS, goal_radius=goal_radius)
     if result.demonstration is not None:
         shown = result.demonstration[scene]
         points = np.asarray(shown["position"][shown["mask"]])
         ax.plot(*points.T, color="black", linewidth=1.1, dashes=(4, 2), zorder=2)
-    ends = np.concatenate(
-        [_path(result, scene, row)[::5] for row in range(0, len(result.preferences), 5)]
-    )
-    low, high = ends.min(0) - 0.8, ends.max(0) + 0.8
+    # Of all preferences: no drive is cut, and both sides of a question have the same.
+    paths = result.paths[:, scene]
+    points = np.asarray(paths["position"][paths["mask"]])
+    low, high = points.min(0) - 0.8, points.max(0) + 0.8
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(min(low[1], -2.2), max(high[1], 2.2))
 

@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 from tensordict import TensorDict
 from torch import Tensor
 
-from envs import NavigationEnv
+from envs import SCENES, NavigationEnv
 from torchrl_morl.choices import standardize
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.deploy.files import file_checksum
@@ -62,7 +62,6 @@ def obtain(
     scenes: int,
     seed: int,
     folder: Path,
-    divisions: int = 10,
 ) -> tuple[Sweep, Setting]:
     """The drives of a policy from their file, or from driving them now, with a progress bar.
 
@@ -74,7 +73,6 @@ def obtain(
         scenes: how many.
         seed: of the scenes.
         folder: where drives are kept.
-        divisions: of the lattice of preferences.
 
     Raises:
         ValueError: for a policy, a scene or a file that is refused.
@@ -83,15 +81,14 @@ def obtain(
     setting = choose(policy.card, scene=scene)
     request = Request(
         policy=file_checksum(policy_folder / "policy.safetensors"),
-        setting=str(setting),
+        setting=described(setting, scene),
         scenes=scenes,
         seed=seed,
-        divisions=divisions,
     )
     path = request.file(folder)
     if path.exists():
         return load(path, request), setting
-    preferences = policy.preference_space.lattice(divisions)
+    preferences = policy.preference_space.lattice(request.divisions)
     with tqdm.tqdm(total=len(preferences), desc=f"drives, once ({path.name})") as progress:
         result = sweep(
             policy.actor,
@@ -108,6 +105,15 @@ def obtain(
     return result, setting
 
 
+def described(setting: Setting, scene: str | None) -> str:
+    """A setting in words; a scene from a file with its checksum, since the file may be edited."""
+    if scene is None or scene in SCENES:
+        return str(setting)
+    name = f"{setting.scene.name}-{file_checksum(Path(scene))[:8]}"
+    named = dataclasses.replace(setting.scene, name=name)
+    return str(dataclasses.replace(setting, scene=named))
+
+
 def save(path: Path, result: Sweep, request: Request) -> None:
     """Write drives to a new file; an interruption leaves none.
 
@@ -117,29 +123,28 @@ def save(path: Path, result: Sweep, request: Request) -> None:
     if path.exists():
         raise FileExistsError(f"{path} exists and is not overwritten.")
     space = result.preference_space
-    tensors = {"preferences": result.preferences.contiguous()}
-    for part in _PARTS:
-        data = getattr(result, part)
-        if data is not None:
-            tensors |= {f"{part}/{key}": data[key].contiguous().clone() for key in data.keys()}
-    described = {
+    parts = {p: getattr(result, p) for p in _PARTS if getattr(result, p) is not None}
+    data = TensorDict({"preferences": result.preferences, **parts}).flatten_keys("/")
+    # Copies: the file format refuses tensors that share memory.
+    tensors = {name: value.contiguous().clone() for name, value in data.items()}
+    about = {
         "objectives": space.objectives,
         "static": dict(space.static),
-        "shapes": {p: getattr(result, p).shape for p in _PARTS if getattr(result, p) is not None},
+        "shapes": {name: part.shape for name, part in parts.items()},
         "request": dataclasses.asdict(request),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.partial")
-    save_file(tensors, partial, {"format": FORMAT, "rollouts": json.dumps(described)})
+    save_file(tensors, partial, {"format": FORMAT, "rollouts": json.dumps(about)})
     partial.rename(path)
 
 
-def load(path: Path, request: Request | None = None) -> Sweep:
+def load(path: Path, request: Request) -> Sweep:
     """Read drives.
 
     Args:
         path: the file.
-        request: what they must be; ``None`` takes any.
+        request: what they must be.
 
     Raises:
         ValueError: for a file of another kind, or of other drives; the message says which.
@@ -148,27 +153,19 @@ def load(path: Path, request: Request | None = None) -> Sweep:
         with safe_open(path, "pt") as file:
             header = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}
-        described = json.loads(header["rollouts"])
+        about = json.loads(header["rollouts"])
         if header.get("format") != FORMAT:
             raise KeyError("format")
-        parts = {
-            part: TensorDict(
-                {
-                    name.split("/", 1)[1]: value
-                    for name, value in tensors.items()
-                    if name.startswith(f"{part}/")
-                },
-                batch_size=shape,
-            )
-            for part, shape in described["shapes"].items()
-        }
-        space = PreferenceSpace(tuple(described["objectives"]), static=described["static"])
-        result = Sweep(preference_space=space, preferences=tensors["preferences"], **parts)
-        made = described["request"]
+        data = TensorDict(tensors).unflatten_keys("/")
+        for part, shape in about["shapes"].items():
+            data[part].batch_size = shape
+        space = PreferenceSpace(tuple(about["objectives"]), static=about["static"])
+        result = Sweep(preference_space=space, **data)
+        made = about["request"]
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} holds no rollouts of recipes.choices: {error!r}.") from error
-    if request is not None and made != dataclasses.asdict(request):
-        asked = dataclasses.asdict(request)
+    asked = dataclasses.asdict(request)
+    if made != asked:
         wrong = next(name for name in asked if made.get(name) != asked[name])
         raise ValueError(
             f"{path} holds other drives: its {wrong} is {made.get(wrong)!r}, not {asked[wrong]!r}. "
@@ -207,13 +204,11 @@ def raw_outcomes(result: Sweep) -> Tensor:
     return torch.stack(columns, -1)
 
 
-def outcomes(result: Sweep) -> Tensor:
-    """The same in units of the scene, see :func:`torchrl_morl.choices.standardize`."""
-    return standardize(raw_outcomes(result), arrived(result))
-
-
 def joint_outcomes(drives: dict[str, Sweep]) -> dict[str, Tensor]:
-    """Outcomes by context, all in the same units: a second counts as much in a corridor as elsewhere."""
+    """Outcomes by context, see :func:`torchrl_morl.choices.standardize`.
+
+    All are in the same units: a second counts as much in a corridor as elsewhere.
+    """
     values = standardize(
         torch.cat([raw_outcomes(one) for one in drives.values()]),
         torch.cat([arrived(one) for one in drives.values()]),

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import logsigmoid
 
-from torchrl_morl.choices import PreferencePosterior, best_preference, next_question
+from torchrl_morl.choices import Answer, PreferencePosterior, best_preference, next_question
 from torchrl_morl.preferences import PreferenceSpace
 
-from .people import Drives, Person, in_units, units_of
+from .people import OBJECTIVES, Drives, Person, in_units, units_of
 
 AFTER = (0, 1, 3, 5, 10, 20)
 """Numbers of answers after which the regret is taken."""
@@ -74,9 +74,59 @@ class Mind:
 
     def regret(self, preference: Tensor, answers: int) -> float:
         """What a preference misses in unseen scenes: 0 for the best for the person, 1 for the worst."""
-        index = int((self._preferences - preference).norm(dim=-1).argmin())
+        return self._regret(int((self._preferences - preference).norm(dim=-1).argmin()), answers)
+
+    def floor(self, answers: int) -> float:
+        """The regret of what is best in the known scenes by what the person really feels."""
+        return self._regret(int(self.felt(answers).mean(0).argmax()), answers)
+
+    def _regret(self, index: int, answers: int) -> float:
         mean = self._unseen[self._person.changed(answers)]
         return float((mean.max() - mean[index]) / (mean.max() - mean.min()))
+
+
+def ask(
+    posterior: PreferencePosterior,
+    person: Person,
+    mind: Mind,
+    place: Place,
+    answers: int,
+    generator: torch.Generator,
+    *,
+    candidates: int = CANDIDATES,
+    context: str | None = None,
+) -> tuple[float, Answer]:
+    """Ask a person one question, and tell the posterior.
+
+    Args:
+        posterior: what is known.
+        person: who is asked.
+        mind: what they feel.
+        place: where.
+        answers: how many they have given, in all places.
+        generator: the source of randomness.
+
+    Keyword Args:
+        candidates: see :func:`~torchrl_morl.choices.next_question`.
+        context: of the place; may be left out if there is one.
+
+    Returns:
+        How likely it was, of the two, that the first is liked better; what was said.
+    """
+    question = next_question(
+        posterior,
+        place.outcomes,
+        context=context,
+        valid=place.valid,
+        candidates=candidates,
+        generator=generator,
+    )
+    pair = place.outcomes[question.scene, [question.first, question.second]]
+    first, second = posterior.predict(*pair, context)[:2].tolist()
+    utility = mind.felt(answers)[question.scene]
+    answer = person.answer(utility, question.first, question.second, generator)
+    posterior.answer(*pair, answer, context)
+    return first / (first + second), answer
 
 
 def asked(person: Person, mind: Mind, place: Place, seed: int, *, informative: bool) -> Trial:
@@ -86,7 +136,8 @@ def asked(person: Person, mind: Mind, place: Place, seed: int, *, informative: b
         informative: which.
     """
     generator = torch.Generator().manual_seed(seed)
-    posterior = PreferencePosterior(("demo", "distance", "efficiency"))
+    posterior = PreferencePosterior(OBJECTIVES)
+    candidates = CANDIDATES if informative else 1
     ways: dict[str, list[float]] = {"best": [], "weights": []}
     trial = Trial(ways, [], [], [], [])
     for answers in range(max(AFTER) + 1):
@@ -97,31 +148,22 @@ def asked(person: Person, mind: Mind, place: Place, seed: int, *, informative: b
             ways["best"].append(mind.regret(best.preference, answers))
             ways["weights"].append(mind.regret(posterior.mean(), answers))
         if answers == max(AFTER):
-            return trial
-        question = next_question(
-            posterior,
-            place.outcomes,
-            valid=place.valid,
-            candidates=CANDIDATES if informative else 1,
-            generator=generator,
+            break
+        predicted, answer = ask(
+            posterior, person, mind, place, answers, generator, candidates=candidates
         )
-        pair = place.outcomes[question.scene, [question.first, question.second]]
-        utility = mind.felt(answers)[question.scene]
-        answer = person.answer(utility, question.first, question.second, generator)
         if answer in ("first", "second"):
-            first, second = posterior.predict(*pair)[:2].tolist()
-            trial.predicted.append(first / (first + second))
+            trial.predicted.append(predicted)
             trial.happened.append(answer == "first")
-        posterior.answer(*pair, answer)
-    raise AssertionError
+    return trial
 
 
 def compared(person: Person, mind: Mind, place: Place, seed: int, *, scenes: int) -> list[float]:
-    """Comparison of trajectories as in Promptable Behaviors, rebuilt from its description.
+    """Comparison of trajectories after Promptable Behaviors (https://arxiv.org/abs/2312.09337).
 
-    Random pairs; the weights of greatest likelihood under Bradley-Terry, given to the policy as they
-    are (https://arxiv.org/abs/2312.09337). Their release has no code of it: pairs, the grid that is
-    searched and the unit of outcomes are ours.
+    Rebuilt from its abstract and what is known of it; the full paper was not read, and its release has
+    no code of comparisons. Random pairs; the weights of greatest likelihood under Bradley-Terry, given
+    to the policy as they are. Pairs, the grid that is searched and the unit of outcomes are ours.
 
     Keyword Args:
         scenes: that each side of a pair is shown in; more than one is their comparison of groups.
@@ -130,7 +172,7 @@ def compared(person: Person, mind: Mind, place: Place, seed: int, *, scenes: int
         Regret after each of :data:`AFTER`.
     """
     generator = torch.Generator().manual_seed(seed)
-    lattice = PreferenceSpace(("demo", "distance", "efficiency")).lattice(25)
+    lattice = PreferenceSpace(OBJECTIVES).lattice(25)
     scales = torch.tensor([0.5, 1.0, 2.0, 4.0, 8.0])[:, None]
     likelihood = torch.zeros(len(scales), len(lattice))
     found = []
@@ -177,21 +219,20 @@ def in_contexts(
     """
     generator = torch.Generator().manual_seed(seed)
     minds = {name: Mind(people[name], place) for name, place in places.items()}
-    names, objectives = tuple(places), ("demo", "distance", "efficiency")
+    names = tuple(places)
     if sharing == "hierarchical":
-        shared = PreferencePosterior(objectives, contexts=names)
-        ask = {name: (shared, name) for name in names}
+        shared = PreferencePosterior(OBJECTIVES, contexts=names)
+        known = {name: (shared, name) for name in names}
     elif sharing == "one":
-        shared = PreferencePosterior(objectives)
-        ask = {name: (shared, "everywhere") for name in names}
+        known = dict.fromkeys(names, (PreferencePosterior(OBJECTIVES), None))
     else:
-        ask = {name: (PreferencePosterior(objectives), "everywhere") for name in names}
+        known = {name: (PreferencePosterior(OBJECTIVES), None) for name in names}
     found = []
     for answers in range(max(AFTER) + 1):
         if answers in AFTER:
             each = []
             for name, place in places.items():
-                posterior, context = ask[name]
+                posterior, context = known[name]
                 best = best_preference(
                     posterior, place.outcomes, place.preferences, context=context
                 )
@@ -200,17 +241,7 @@ def in_contexts(
         if answers == max(AFTER):
             break
         name = names[answers % len(names)]
-        place, (posterior, context) = places[name], ask[name]
-        question = next_question(
-            posterior,
-            place.outcomes,
-            context=context,
-            valid=place.valid,
-            candidates=CANDIDATES,
-            generator=generator,
-        )
-        utility = minds[name].felt(answers)[question.scene]
-        answer = people[name].answer(utility, question.first, question.second, generator)
-        outcomes = place.outcomes[question.scene]
-        posterior.answer(outcomes[question.first], outcomes[question.second], answer, context)
+        posterior, context = known[name]
+        person, mind = people[name], minds[name]
+        ask(posterior, person, mind, places[name], answers, generator, context=context)
     return found

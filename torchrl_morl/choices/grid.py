@@ -2,10 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
-__all__ = ["context_log_posterior", "resemblance"]
+from .model import Choice, ChoiceModel
+
+__all__ = ["Grid", "context_log_posterior", "resemblance"]
+
+_SPREADS = (0.0, 0.2, 0.6)
+
+
+class Grid:
+    """Weights on a lattice of the simplex, times rationalities: all sums over them are exact.
+
+    Args:
+        lattice: weights, equally likely before the first answer, ``[G, T]``.
+        contexts: names.
+        model: how answers come about.
+    """
+
+    def __init__(self, lattice: Tensor, contexts: Sequence[str], model: ChoiceModel) -> None:
+        values = torch.tensor(list(model.prior), dtype=torch.float64)
+        self._contexts, self._model = contexts, model
+        self._log_prior = torch.tensor(list(model.prior.values()), dtype=torch.float64).log()
+        self.weights = lattice.repeat_interleave(len(values), 0)
+        """``[H, T]``, ``H`` = ``G`` times the number of rationalities."""
+        self.rationality = values.repeat(len(lattice))
+        """``[H]``."""
+        # One context has nothing to resemble.
+        spreads = _SPREADS if len(contexts) > 1 else _SPREADS[:1]
+        self._kernels = torch.stack([resemblance(lattice, one) for one in spreads])
+        self.restart()
+
+    def restart(self) -> None:
+        """Go back to before the first answer."""
+        self.observe(())
+
+    def observe(self, choices: Sequence[Choice]) -> None:
+        """Take in all answers, oldest first."""
+        each = self._model.log_likelihood(choices, self.weights, self.rationality)
+        rows = torch.tensor(
+            [self._contexts.index(choice.context) for choice in choices], dtype=torch.long
+        )
+        total = self.weights.new_zeros(len(self._contexts), len(self.weights))
+        total.index_add_(0, rows, each)
+        shaped = total.view(len(total), -1, len(self._log_prior))
+        log_posterior = context_log_posterior(shaped, self._log_prior, self._kernels)
+        self.probability = log_posterior.exp().flatten(1)
+        """In every context, ``[C, H]``."""
 
 
 def resemblance(weights: Tensor, spread: float) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import math
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import torch
@@ -17,6 +17,23 @@ Answer = Literal["first", "second", "tie", "neither"]
 
 ANSWERS: tuple[Answer, ...] = get_args(Answer)
 """What can be said of two alternatives, in the order of probabilities."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice:
+    """An answer to one question.
+
+    Args:
+        first: outcomes of the first alternative, one an objective.
+        second: of the second.
+        answer: what was said.
+        context: where.
+    """
+
+    first: tuple[float, ...]
+    second: tuple[float, ...]
+    answer: Answer
+    context: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,40 +137,39 @@ class ChoiceModel:
         Returns:
             ``[*B, 4]``; they sum to one, and are 0 for what is not offered.
         """
-        return torch.stack(self.by_answer(first, second, rationality), -1)
+        return self.by_answer(first, second, rationality).movedim(0, -1)
 
-    def by_answer(self, first: Tensor, second: Tensor, rationality: Tensor) -> list[Tensor]:
-        """The same as four tensors ``[*B]``, which saves the memory of stacking them."""
+    def by_answer(self, first: Tensor, second: Tensor, rationality: Tensor) -> Tensor:
+        """The same with the answers first, ``[4, *B]``."""
         first, second = torch.broadcast_tensors(rationality * first, rationality * second)
-        logits = [first, second]
-        if self.tie:
-            logits.append((first + second) / 2 + math.log(self.tie))
-        if self.neither:
-            logits.append(torch.full_like(first, math.log(self.neither)))
-        most = torch.maximum(first, second)
-        if self.neither:
-            most = most.clamp(min=math.log(self.neither))
-        odds = [(one - most).exp_() for one in logits]
-        total = sum(odds[1:], odds[0])
-        accident = self.slip / len(logits)
-        shares = [(1 - self.slip) * one / total + accident for one in odds]
-        nothing = torch.zeros_like(first)
-        tie = shares[2] if self.tie else nothing
-        return [shares[0], shares[1], tie, shares[-1] if self.neither else nothing]
+        odds = first.new_tensor([1.0, 1.0, self.tie, self.neither]).view(4, *[1] * first.ndim)
+        logits = torch.stack((first, second, (first + second) / 2, torch.zeros_like(first)))
+        # What is not offered has the logit -inf.
+        shares = logits.add_(odds.log()).softmax(0)
+        accident = (odds > 0).to(odds) * (self.slip / len(self.offered))
+        return shares.mul_(1 - self.slip).add_(accident)
 
+    def log_likelihood(
+        self, choices: Sequence[Choice], weights: Tensor, rationality: Tensor
+    ) -> Tensor:
+        """Logarithms of the probabilities of some answers, where older ones count less.
 
-@dataclasses.dataclass(frozen=True)
-class Choice:
-    """An answer to one question.
+        Args:
+            choices: ``n`` of them, oldest first.
+            weights: hypotheses, ``[H, T]``.
+            rationality: ``[H]``.
 
-    Args:
-        first: outcomes of the first alternative, one an objective.
-        second: of the second.
-        answer: what was said.
-        context: where.
-    """
-
-    first: tuple[float, ...]
-    second: tuple[float, ...]
-    answer: Answer
-    context: str
+        Returns:
+            ``[n, H]``.
+        """
+        if not choices:
+            return weights.new_zeros(0, len(weights))
+        first, second = (
+            weights.new_tensor([getattr(choice, side) for choice in choices]) @ weights.T
+            for side in ("first", "second")
+        )
+        numbers = torch.arange(len(choices))
+        said = torch.tensor([ANSWERS.index(choice.answer) for choice in choices])
+        chances = self.by_answer(first, second, rationality)[said, numbers]
+        share = self.memory ** numbers.flip(0).to(weights)
+        return share[:, None] * chances.log()

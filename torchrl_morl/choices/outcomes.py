@@ -45,17 +45,16 @@ def standardize(outcomes: Tensor | ArrayLike, valid: Tensor | ArrayLike | None =
     mask = mask.unsqueeze(-1)
     if not values[mask.expand_as(values)].isfinite().all():
         raise ValueError("outcomes must be finite where they are valid: leave others out by valid.")
-    known = torch.where(mask, values, torch.zeros_like(values))
-    count = mask.sum(-2, keepdim=True).clamp(min=1)
-    mean = known.sum(-2, keepdim=True) / count
-    apart = torch.where(mask, values - mean, torch.zeros_like(values))
+    known = values.masked_fill(~mask, torch.nan)
+    mean = known.nanmean(-2, keepdim=True)
+    apart = known - mean
     # Over all scenes, the root mean square of differences from their scene's average.
-    deviation = (apart.square().flatten(0, -2).sum(0) / mask.sum().clamp(min=1)).sqrt()
+    deviation = apart.square().flatten(0, -2).nanmean(0).sqrt()
     # Rounding is no difference.
-    flat = deviation <= 1e-6 * (1 + mean.abs().flatten(0, -2).amax(0))
-    units = torch.where(flat, torch.zeros_like(apart), apart / deviation.clamp(min=1e-12))
-    worst = torch.where(mask, units, torch.full_like(units, torch.inf)).amin(-2, keepdim=True)
-    worst = torch.where(worst.isfinite(), worst, torch.zeros_like(worst))
+    flat = deviation <= 1e-6 * (1 + mean.nan_to_num(0).abs().flatten(0, -2).amax(0))
+    units = (apart / deviation).masked_fill(flat, 0)
+    worst = units.nan_to_num(nan=torch.inf).amin(-2, keepdim=True)
+    worst = worst.masked_fill(worst.isinf(), 0)  # a scene without anything valid
     return torch.where(mask, units, worst)
 
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+
+from .model import Choice, ChoiceModel
 
 __all__ = ["Particles"]
 
 _MOVES = 8
 _STEP = 0.6
-
-LogLikelihood = Callable[[Tensor, Tensor], Tensor]
-"""From weights ``[N, T]`` and rationality ``[N]`` to the log likelihood ``[N]`` of all answers."""
 
 
 class Particles:
@@ -24,24 +24,28 @@ class Particles:
 
     Args:
         num_objectives: entries of the weights, uniform on the simplex before the first answer.
-        rationalities: probabilities of its values.
+        model: how answers come about.
         size: number of particles.
         seed: of the draws; the same answers give the same particles.
     """
 
-    def __init__(
-        self, num_objectives: int, rationalities: dict[float, float], size: int, seed: int
-    ) -> None:
-        self._generator = torch.Generator().manual_seed(seed)
-        self._values = torch.tensor(list(rationalities), dtype=torch.float64)
-        self._prior = torch.tensor(list(rationalities.values()), dtype=torch.float64)
-        shape = (size, num_objectives)
+    def __init__(self, num_objectives: int, model: ChoiceModel, size: int, seed: int) -> None:
+        self._model, self._shape, self._seed = model, (size, num_objectives), seed
+        self._values = torch.tensor(list(model.prior), dtype=torch.float64)
+        self._prior = torch.tensor(list(model.prior.values()), dtype=torch.float64)
+        self.restart()
+
+    def restart(self) -> None:
+        """Draw the particles of before the first answer."""
+        size = self._shape[0]
+        self._generator = torch.Generator().manual_seed(self._seed)
         # Exponential variables divided by their sum are uniform on the simplex.
-        self._raw = torch.empty(shape, dtype=torch.float64).exponential_(generator=self._generator)
+        self._raw = torch.empty(self._shape, dtype=torch.float64)
+        self._raw.exponential_(generator=self._generator)
         self._which = torch.multinomial(
             self._prior, size, replacement=True, generator=self._generator
         )
-        self.log_weight = torch.zeros(size, dtype=torch.float64) - torch.tensor(float(size)).log()
+        self._log_weight = torch.full((size,), -math.log(size), dtype=torch.float64)
 
     @property
     def weights(self) -> Tensor:
@@ -54,41 +58,49 @@ class Particles:
         return self._values[self._which]
 
     @property
+    def probability(self) -> Tensor:
+        """In the one context, ``[1, N]``."""
+        return self._log_weight.exp()[None]
+
+    @property
     def effective_size(self) -> float:
         """How many equally weighed particles they are worth."""
-        return float((-(2 * self.log_weight).logsumexp(0)).exp())
+        return float((-(2 * self._log_weight).logsumexp(0)).exp())
 
-    def update(self, newest: LogLikelihood, every: LogLikelihood) -> None:
-        """Take an answer in.
-
-        Args:
-            newest: what this answer adds to the log likelihood.
-            every: the log likelihood of all answers, this one included.
-        """
-        self.log_weight = self.log_weight + newest(self.weights, self.rationality)
-        self.log_weight = self.log_weight - self.log_weight.logsumexp(0)
-        if self.effective_size < len(self.log_weight) / 2:
+    def observe(self, choices: Sequence[Choice]) -> None:
+        """Take in the last of all answers."""
+        # Not its own likelihood alone: the older answers count less from now on.
+        every = self._log_likelihood(choices, self.weights, self.rationality)
+        older = self._log_likelihood(choices[:-1], self.weights, self.rationality)
+        log_weight = self._log_weight + every - older
+        self._log_weight = log_weight - log_weight.logsumexp(0)
+        if self.effective_size < len(log_weight) / 2:
             self._resample()
-            self._move(every)
+            self._move(choices)
+
+    def _log_likelihood(
+        self, choices: Sequence[Choice], weights: Tensor, rationality: Tensor
+    ) -> Tensor:
+        return self._model.log_likelihood(choices, weights, rationality).sum(0)
 
     def _resample(self) -> None:
-        size = len(self.log_weight)
+        size = len(self._log_weight)
         # Systematic: one random number, and the smallest variance.
         offset = torch.rand((), generator=self._generator, dtype=torch.float64)
         places = (torch.arange(size, dtype=torch.float64) + offset) / size
-        total = self.log_weight.exp().cumsum(0)
+        total = self._log_weight.exp().cumsum(0)
         rows = torch.searchsorted(total / total[-1], places).clamp(max=size - 1)
         self._raw, self._which = self._raw[rows], self._which[rows]
-        self.log_weight = torch.full_like(self.log_weight, -float(torch.tensor(size).log()))
+        self._log_weight = torch.full_like(self._log_weight, -math.log(size))
 
-    def _move(self, every: LogLikelihood) -> None:
+    def _move(self, choices: Sequence[Choice]) -> None:
         def log_target(raw: Tensor, which: Tensor) -> Tensor:
             weights = raw / raw.sum(-1, keepdim=True)
             # Exponential density times the change of variables to its logarithm.
             prior = (raw.log() - raw).sum(-1) + self._prior[which].log()
-            return prior + every(weights, self._values[which])
+            return prior + self._log_likelihood(choices, weights, self._values[which])
 
-        generator, size = self._generator, len(self.log_weight)
+        generator, size = self._generator, len(self._log_weight)
         before = log_target(self._raw, self._which)
         for _ in range(_MOVES):
             noise = torch.randn(self._raw.shape, generator=generator, dtype=torch.float64)

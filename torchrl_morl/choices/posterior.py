@@ -16,8 +16,8 @@ from torch import Tensor
 from torchrl_morl.arguments import check_count
 from torchrl_morl.preferences import PreferenceSpace
 
-from .grid import context_log_posterior, resemblance
-from .model import ANSWERS, Answer, Choice, ChoiceModel
+from .grid import Grid
+from .model import Answer, Choice, ChoiceModel
 from .particles import Particles
 
 __all__ = ["PreferencePosterior"]
@@ -27,7 +27,6 @@ LARGEST_GRID = 4
 """Objectives up to which sums over a grid are exact."""
 
 _DIVISIONS = {1: 1, 2: 50, 3: 25, 4: 12}
-_SPREADS = (0.0, 0.2, 0.6)
 
 
 class PreferencePosterior:
@@ -93,18 +92,12 @@ class PreferencePosterior:
         check_count("divisions", divisions, 1)
         self._settings = {"divisions": divisions, "particles": particles, "seed": seed}
         self._choices: list[Choice] = []
+        self._belief: Grid | Particles
         if self.exact:
             lattice = PreferenceSpace(self.objectives).lattice(divisions).double()
-            prior = self.model.prior
-            values = torch.tensor(list(prior), dtype=torch.float64)
-            self._log_prior = torch.tensor(list(prior.values()), dtype=torch.float64).log()
-            self._shape = (len(lattice), len(values))
-            self._weights = lattice.repeat_interleave(len(values), 0)
-            self._rationality = values.repeat(len(lattice))
-            several = len(self.contexts) > 1
-            spreads = _SPREADS if several else (0.0,)
-            self._kernels = torch.stack([resemblance(lattice, one) for one in spreads])
-        self._rebuild()
+            self._belief = Grid(lattice, self.contexts, self.model)
+        else:
+            self._belief = Particles(size, self.model, particles, seed)
 
     # --- answers
 
@@ -143,7 +136,7 @@ class PreferencePosterior:
         context = self.contexts[self.context_index(context)]
         outcomes = [self._alternative(*one) for one in (("first", first), ("second", second))]
         self._choices.append(Choice(*outcomes, answer, context))
-        self._take(self._choices[-1])
+        self._belief.observe(self._choices)
 
     def undo(self) -> Choice:
         """Forget the newest answer, and return it.
@@ -154,7 +147,9 @@ class PreferencePosterior:
         if not self._choices:
             raise ValueError("there is no answer to undo.")
         choice = self._choices.pop()
-        self._rebuild()
+        self._belief.restart()
+        for count in range(self.num_answers):
+            self._belief.observe(self._choices[: count + 1])
         return choice
 
     # --- what is known
@@ -162,12 +157,12 @@ class PreferencePosterior:
     @property
     def weights(self) -> Tensor:
         """Hypotheses about the weights, ``[H, T]``."""
-        return self._weights if self.exact else self._particles.weights
+        return self._belief.weights
 
     @property
     def rationality(self) -> Tensor:
         """Hypotheses about the rationality, ``[H]``."""
-        return self._rationality if self.exact else self._particles.rationality
+        return self._belief.rationality
 
     def probability(self, context: str | None = None) -> Tensor:
         """Posterior probability of every hypothesis in a context, ``[H]``.
@@ -178,7 +173,7 @@ class PreferencePosterior:
         Raises:
             ValueError: for a context that is none of its own.
         """
-        return self._probability[self.context_index(context)]
+        return self._belief.probability[self.context_index(context)]
 
     def mean(self, context: str | None = None) -> Tensor:
         """Mean of the weights, ``[T]``."""
@@ -307,8 +302,6 @@ class PreferencePosterior:
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
-    # --- inside
-
     def _alternative(self, name: str, outcomes: Tensor | ArrayLike) -> tuple[float, ...]:
         values = torch.as_tensor(outcomes).double()
         if values.shape != (len(self.objectives),):
@@ -319,68 +312,6 @@ class PreferencePosterior:
         if not values.isfinite().all():
             raise ValueError(f"{name} must be finite, got {values.tolist()}.")
         return tuple(values.tolist())
-
-    def _log_likelihood(self, choices: Sequence[Choice], weights: Tensor, rationality: Tensor):
-        """Of some answers, oldest first, under every hypothesis, ``[H]``."""
-        total = torch.zeros_like(rationality)
-        for choice in choices:
-            total *= self.model.memory
-            first, second = (
-                weights @ torch.tensor(x, dtype=torch.float64)
-                for x in (choice.first, choice.second)
-            )
-            chances = self.model.by_answer(first, second, rationality)
-            total += chances[ANSWERS.index(choice.answer)].log()
-        return total
-
-    def _rebuild(self) -> None:
-        if self.exact:
-            self._log_context = torch.zeros(
-                (len(self.contexts), len(self._weights)), dtype=torch.float64
-            )
-            for choice in self._choices:
-                self._add(choice)
-            self._normalize()
-            return
-        self._particles = Particles(
-            len(self.objectives),
-            self.model.prior,
-            self._settings["particles"],
-            self._settings["seed"],
-        )
-        known, self._choices = self._choices, []
-        for choice in known:
-            self._choices.append(choice)
-            self._take(choice)
-        self._probability = self._particles.log_weight.exp()[None]
-
-    def _take(self, choice: Choice) -> None:
-        if self.exact:
-            self._add(choice)
-            self._normalize()
-            return
-        older, newer = self._choices[:-1], self._choices
-
-        def every(weights: Tensor, rationality: Tensor) -> Tensor:
-            return self._log_likelihood(newer, weights, rationality)
-
-        def change(weights: Tensor, rationality: Tensor) -> Tensor:
-            before = self._log_likelihood(older, weights, rationality)
-            return every(weights, rationality) - before
-
-        self._particles.update(change, every)
-        self._probability = self._particles.log_weight.exp()[None]
-
-    def _add(self, choice: Choice) -> None:
-        row = self.contexts.index(choice.context)
-        self._log_context *= self.model.memory
-        self._log_context[row] += self._log_likelihood([choice], self._weights, self._rationality)
-
-    def _normalize(self) -> None:
-        shaped = self._log_context.view(len(self.contexts), *self._shape)
-        self._probability = (
-            context_log_posterior(shaped, self._log_prior, self._kernels).exp().flatten(1)
-        )
 
 
 def _names(what: str, names: Sequence[str]) -> tuple[str, ...]:

@@ -108,7 +108,7 @@ def next_question(
         generator: the source of randomness.
 
     Raises:
-        ValueError: for other shapes, or if there are no two alternatives of one scene that differ.
+        ValueError: for other shapes, or if no pair that is drawn may be shown and differs.
 
     Example:
         >>> posterior = PreferencePosterior(("distance", "efficiency"))
@@ -134,7 +134,10 @@ def next_question(
         usable &= valid[scene, first] & valid[scene, second]
     rows = usable.nonzero().squeeze(-1)[:candidates]
     if not len(rows):
-        raise ValueError("outcomes: no two alternatives of a scene that may be shown differ.")
+        raise ValueError(
+            f"outcomes: of {len(usable):,} pairs that were drawn, no two alternatives that may be shown "
+            "differ."
+        )
     scene, first, second = scene[rows], first[rows], second[rows]
     bits = information(posterior, values[scene, first], values[scene, second], context)
     best = int(bits.argmax())

@@ -11,8 +11,9 @@ import torch
 from recipes.choices import __main__ as command
 from recipes.choices.dialogue import Dialogue
 from recipes.choices.people import KINDS, Drives, Person, in_units, people, units_of
-from recipes.choices.rollouts import Request, load, outcomes, raw_outcomes, save
+from recipes.choices.rollouts import Request, described, joint_outcomes, load, raw_outcomes, save
 from recipes.choices.trials import AFTER, Mind, Place, asked, compared, stated
+from recipes.evaluation.setting import choose
 from recipes.evaluation.sweep import sweep
 from tests._sweeps import BEND, SPACE, is_png
 from torchrl_morl.choices import PreferencePosterior, standardize
@@ -65,7 +66,7 @@ def test_drives_are_what_was_saved(tmp_path, drives):
         load(path, other)
     path.write_bytes(b"nothing")
     with pytest.raises(ValueError, match="holds no rollouts"):
-        load(path)
+        load(path, REQUEST)
 
 
 def test_outcomes_are_better_where_the_metric_is(drives):
@@ -73,10 +74,29 @@ def test_outcomes_are_better_where_the_metric_is(drives):
     assert raw.shape == (6, 5, 2)
     distance = drives.metrics["min_human_distance"].T
     torch.testing.assert_close(raw[..., 0], distance.clamp(max=2.0).float())
-    assert (raw[..., 1] < 0).all() and outcomes(drives).isfinite().all()
+    assert (raw[..., 1] < 0).all()
+    # Two places have one unit: what is twice as far apart in one of them counts twice.
+    twice = drives.metrics.clone()
+    twice["time"] = 2 * twice["time"]
+    far = dataclasses.replace(drives, metrics=twice)
+    near, far = (joint_outcomes({"near": drives, "far": far})[x] for x in ("near", "far"))
+    torch.testing.assert_close(far[..., 1], 2 * near[..., 1])
+    torch.testing.assert_close(far[..., 0], near[..., 0])
 
 
-def test_five_answers_then_resumed(tmp_path, monkeypatch, capsys, quick):
+def test_a_scene_that_is_edited_is_driven_anew(tmp_path):
+    fields = "start: [0, 0, 0]\ngoal: [{goal}, 0]\nhuman: [3, 1]\n"
+    path, words = tmp_path / "room.yaml", []
+    for goal in (6, 7):
+        path.write_text(fields.format(goal=goal))
+        words.append(described(choose({}, scene=str(path)), str(path)))
+    assert words[0] != words[1] and all(one.startswith("scene room-") for one in words)
+    files = {dataclasses.replace(REQUEST, setting=one).file(tmp_path) for one in words}
+    assert len(files) == 2
+    assert described(choose({}, scene="corridor"), "corridor").startswith("scene corridor,")
+
+
+def test_three_answers_then_resumed(tmp_path, monkeypatch, capsys, quick):
     folder = tmp_path / "ann"
     run(monkeypatch, "--answers", "1,2,=", "--output", folder)
     printed = capsys.readouterr().out
@@ -118,18 +138,25 @@ def test_typed_answers_end_with_the_input(tmp_path, monkeypatch, capsys, quick):
     [
         (["--answers", "1,left"], "'left' must be one of 1, 2, =, n, u, s"),
         (["--scene", "static", "static"], "names a scene twice"),
+        (["--scene", "static", "../static.yaml"], "names a scene twice: static, static"),
         (["--resume", "."], "holds no choices of this command"),
+        (
+            ["--resume", ".", "--seed", "40"],
+            "--seed is of a new dialogue, --resume . keeps its own",
+        ),
         (["--seed", "0"], "Seed 0 draws scenes for training"),
         (["--resume", "nowhere"], "must be a folder, 'nowhere' does not exist"),
     ],
 )
 def test_mistakes_are_one_line(arguments, message, monkeypatch, capsys, quick, tmp_path):
-    monkeypatch.chdir(tmp_path)
+    (tmp_path / "static.yaml").write_text("start: [0, 0, 0]\ngoal: [6, 0]\nhuman: [3, 1]\n")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
     with pytest.raises(SystemExit):
         run(monkeypatch, *arguments)
     printed = capsys.readouterr()
     assert message in printed.err and printed.err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+    assert list((tmp_path / "here").iterdir()) == []
 
 
 def test_an_old_folder_is_kept(tmp_path, monkeypatch, capsys, quick):
@@ -192,3 +219,5 @@ def test_regret_falls_with_answers(place):
     assert trial.regret["best"][-1] < 0.05 < trial.claimed[0]
     assert compared(person, mind, place, 0, scenes=5)[-1] < 0.3
     assert stated(person, mind, 0, error=0.0) == 0.0
+    # Far is best for them in all scenes alike, and near is worst: their utility misses nothing.
+    assert mind.floor(0) == 0.0 and mind.regret(torch.tensor([1.0, 0.0, 0.0]), 0) > 0.9

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
 
@@ -18,7 +19,7 @@ from torchrl_morl.choices import (
     next_question,
     standardize,
 )
-from torchrl_morl.choices.grid import resemblance
+from torchrl_morl.choices.grid import context_log_posterior, resemblance
 from torchrl_morl.preferences import PreferenceSpace
 
 PLAIN = ChoiceModel(rationalities=(2.0,), chance=0.0, slip=0.0, tie=0.0, neither=0.0)
@@ -170,19 +171,22 @@ class TestContexts:
         assert posterior.mean("open")[0] > 0.7 > 0.3 > posterior.mean("corridor")[0]
 
     def test_exact_sums_agree_with_brute_force(self):
-        posterior = PreferencePosterior(TWO, contexts=("a", "b"), divisions=3)
-        posterior.answer([1, -1], [-1, 1], "first", "a")
-        posterior.answer([1, 0], [-1, 0.5], "tie", "b")
-        shape = posterior._shape
-        like = posterior._log_context.view(2, *shape).exp()
-        prior = posterior._log_prior.exp()
-        total = torch.zeros(shape, dtype=torch.float64)
-        for kernel in posterior._kernels:
-            for general in range(shape[0]):
-                other = kernel[general] @ like[1]  # [R]
-                total += kernel[general][:, None] * like[0] * prior * other
-        expected = (total / total.sum()).flatten()
-        torch.testing.assert_close(posterior.probability("a"), expected)
+        weights, rationalities, spreads = 4, 2, (0.0, 0.3)
+        lattice = PreferenceSpace(TWO).lattice(weights - 1).double()
+        kernels = torch.stack([resemblance(lattice, spread) for spread in spreads])
+        like = torch.rand(3, weights, rationalities, generator=generator()).double()
+        prior = torch.tensor([0.3, 0.7], dtype=torch.float64)
+        total = torch.zeros(3, weights, rationalities, dtype=torch.float64)
+        for kernel, general, *places, r in itertools.product(
+            kernels, range(weights), *3 * [range(weights)], range(rationalities)
+        ):
+            joint = prior[r]
+            for context, place in enumerate(places):
+                joint = joint * kernel[general, place] * like[context, place, r]
+            for context, place in enumerate(places):
+                total[context, place, r] += joint
+        found = context_log_posterior(like.log(), prior.log(), kernels).exp()
+        torch.testing.assert_close(found, total / total[0].sum())
 
 
 class TestSampled:
