@@ -95,7 +95,7 @@ def main() -> None:
         "recipes.mo_ppo, and 0.2 0.25)",
     )
     parser.add_argument("--episodes", type=episodes, default=200, help="scenes, before the choice")
-    parser.add_argument("--seed", type=seed, default=7, help="of the scenes, 7 to 9999")
+    parser.add_argument("--seed", type=seed, default=101, help="of the scenes, 7 to 9999")
     parser.add_argument(
         "--scale", type=number(above=0), default=10.0, help="what R = 0 costs a step"
     )
