@@ -35,7 +35,6 @@ from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollecto
 from torchrl.envs import EnvBase, RewardScaling
 
 from recipes.arguments import Parser
-from recipes.outputs import choose_file
 from recipes.training import checkpoint, off_policy, task
 from torchrl_morl.deploy import save_reward_model
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
@@ -43,6 +42,7 @@ from torchrl_morl.modules import RewardModel
 
 from .learner import machine
 from .learner_base import ACTION_SIZE
+from .output import parse_with_output
 from .workload import MO_PPO, PD_MORL, RECIPES, config, run_recipe
 
 POLICY = RECIPES / "policies" / "recipe_seed0"
@@ -182,17 +182,8 @@ def main(arguments: list[str] | None = None, *, num_envs: int = 512, steps: int 
     parser.add_argument("--frames", type=int, default=14_400, help="of each training of PD-MORL")
     parser.add_argument("--batches", type=int, default=4, help="of each training of MO-PPO")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="of the updates")
-    parser.add_argument(
-        "--output",
-        type=Path,
-        help="new file (default: runs/benchmarks/collecting.md, else one with a number)",
-    )
     parser.add_argument("overrides", nargs="*", help="of recipes/pd_morl/config.yaml")
-    args = parser.parse_args(arguments)
-    try:
-        output = choose_file(args.output, Path("runs/benchmarks/collecting.md"))
-    except ValueError as error:
-        parser.error(str(error))
+    args = parse_with_output(parser, arguments, "collecting.md")
     if min(args.rounds, args.batches, *args.threads) < 1:
         parser.error("--rounds, --batches and --threads must be at least 1.")
     batch = config(*args.overrides).collector.frames_per_batch
@@ -225,8 +216,8 @@ def main(arguments: list[str] | None = None, *, num_envs: int = 512, steps: int 
         lines += [row(name, values, first) for name, values in measured.items()]
     text = "\n".join(lines) + "\n\n" + machine()
     print(text)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(text + "\n")
+    args.output.parent.mkdir(parents=True, exist_ok=True)
+    args.output.write_text(text + "\n")
 
 
 if __name__ == "__main__":

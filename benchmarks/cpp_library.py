@@ -16,6 +16,20 @@ from torchrl_morl.deploy import Command, LidarGeometry
 SOURCES = Path(__file__).resolve().parent.parent / "cpp"
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 _OPTIONS = ("goal_radius", "timeout", "max_speed", "max_turn_rate")
+_BUFFER = (ctypes.c_char_p, ctypes.c_size_t)
+_ARRAY = (_DOUBLES, ctypes.c_size_t)
+_FUNCTIONS = {
+    "torchrl_morl_open": (ctypes.c_void_p, (ctypes.c_char_p, *_ARRAY, _DOUBLES, *_BUFFER)),
+    "torchrl_morl_step": (
+        None,
+        (
+            *(ctypes.c_void_p, *_ARRAY, *(_DOUBLES,) * 4, *_ARRAY),
+            *(ctypes.c_double, ctypes.c_double, _DOUBLES, *_BUFFER, *_BUFFER),
+        ),
+    ),
+    "torchrl_morl_close": (None, (ctypes.c_void_p,)),
+}
+"""What ``c_interface.cpp`` declares: the result and the arguments of each."""
 
 
 def compiler() -> str | None:
@@ -56,17 +70,19 @@ class CppRunner:
         self, library: Path, policy: Path, *, lidar: LidarGeometry, **options: float
     ) -> None:
         self._library = ctypes.CDLL(str(library))
-        self._library.torchrl_morl_open.restype = ctypes.c_void_p
-        self._library.torchrl_morl_step.restype = None
+        for name, (result, arguments) in _FUNCTIONS.items():
+            function = getattr(self._library, name)
+            function.restype, function.argtypes = result, arguments
         fields = (lidar.first_angle, lidar.increment, lidar.range_min, lidar.range_max)
+        options = [options.get(name, math.nan) for name in _OPTIONS]
         error = ctypes.create_string_buffer(400)
         self._runner = self._library.torchrl_morl_open(
             str(policy).encode(),
             _doubles((*fields, *lidar.mount))[0],
-            ctypes.c_size_t(lidar.num_beams),
-            _doubles([options.get(name, math.nan) for name in _OPTIONS])[0],
+            lidar.num_beams,
+            _doubles(options)[0],
             error,
-            ctypes.c_size_t(len(error)),
+            len(error),
         )
         if not self._runner:
             raise ValueError(error.value.decode())
@@ -85,28 +101,22 @@ class CppRunner:
     ) -> Command:
         command, reason = (ctypes.c_double * 3)(), ctypes.create_string_buffer(20)
         detail = ctypes.create_string_buffer(400)
-        scan, num_ranges = _doubles(ranges)
-        weights, num_weights = _doubles(preference)
         self._library.torchrl_morl_step(
-            ctypes.c_void_p(self._runner),
-            scan,
-            ctypes.c_size_t(num_ranges),
+            self._runner,
+            *_doubles(ranges),
             *(_doubles(value)[0] for value in (goal, human, human_velocity, odometry)),
-            weights,
-            ctypes.c_size_t(num_weights),
-            ctypes.c_double(stamp),
-            ctypes.c_double(time),
+            *_doubles(preference),
+            stamp,
+            time,
             command,
-            reason,
-            ctypes.c_size_t(len(reason)),
-            detail,
-            ctypes.c_size_t(len(detail)),
+            *(reason, len(reason)),
+            *(detail, len(detail)),
         )
         speed, turn_rate, valid_until = command
         return Command(speed, turn_rate, reason.value.decode(), detail.value.decode(), valid_until)
 
     def close(self) -> None:
-        self._library.torchrl_morl_close(ctypes.c_void_p(self._runner))
+        self._library.torchrl_morl_close(self._runner)
 
 
 def _doubles(values: Sequence[float] | np.ndarray | None) -> tuple[object, int]:

@@ -25,9 +25,9 @@ import torch
 import tqdm
 
 from recipes.arguments import Parser, count, positive, positive_int
-from recipes.outputs import choose_file
 
 from .environment_variants import OURS, PARALLEL, SERIAL, VARIANTS, Loop, navigation_env
+from .output import parse_with_output
 
 _WARM_UP_STEPS = 3
 
@@ -203,16 +203,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--torch-threads", type=positive_int, default=1, help="of PyTorch, in all variants"
     )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        help="new file (default: runs/benchmarks/environment.csv, else one with a number)",
-    )
-    args = parser.parse_args(arguments)
-    try:
-        output = choose_file(args.output, Path("runs/benchmarks/environment.csv"))
-    except ValueError as error:
-        parser.error(str(error))
+    args = parse_with_output(parser, arguments, "environment.csv")
     if min(args.sizes) < 1 or args.repetitions < 1:
         parser.error("--sizes and --repetitions must be at least 1.")
 
@@ -234,8 +225,8 @@ def main(arguments: list[str] | None = None) -> None:
     )
     info = {**machine(args.num_threads), "load": load, "clock": args.clock}
     print(report(rates, skipped, info, args.repetitions))
-    write_csv(output, rates, info)
-    print(f"every measurement: {output}")
+    write_csv(args.output, rates, info)
+    print(f"every measurement: {args.output}")
 
 
 if __name__ == "__main__":

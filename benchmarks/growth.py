@@ -23,10 +23,10 @@ from typing import NamedTuple
 import tqdm
 
 from recipes.arguments import Parser, number, positive_int
-from recipes.outputs import choose_file
 
 from .growth_cases import CASES, CLOCKS, Cost, Options, measure
 from .learner import machine
+from .output import parse_with_output
 
 SIZES = {
     "environments": (1, 4, 16, 64, 256, 1024),
@@ -180,16 +180,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument(
         "--steps", type=positive_int, default=defaults.steps, help="of the sweep's episodes"
     )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        help="new file (default: runs/benchmarks/growth.csv, else one with a number)",
-    )
-    args = parser.parse_args(arguments)
-    try:
-        output = choose_file(args.output, Path("runs/benchmarks/growth.csv"))
-    except ValueError as error:
-        parser.error(str(error))
+    args = parse_with_output(parser, arguments, "growth.csv")
     if args.sizes and (len(args.grows) > 1 or min(args.sizes) < 1):
         parser.error("--sizes are positive, and those of one --grows.")
 
@@ -200,8 +191,8 @@ def main(arguments: list[str] | None = None) -> None:
     print(table(costs, memory))
     print(f"\nclock: {args.clock}; sweep: {args.scenes} scenes, at most {args.steps} steps")
     print(f"{machine()}, {memory / 1e9:.0f} GB")
-    write_csv(output, costs)
-    print(f"every measurement: {output}")
+    write_csv(args.output, costs)
+    print(f"every measurement: {args.output}")
 
 
 if __name__ == "__main__":

@@ -28,11 +28,11 @@ import torchrl
 import tqdm
 
 from recipes.arguments import Parser
-from recipes.outputs import choose_file
 
 from .floor import MatrixRate, flops
 from .learner_base import Learner
 from .learner_systems import OURS, OURS_EQUAL, SYSTEMS, System
+from .output import parse_with_output
 from .workload import UPDATES, transitions
 
 Rates = dict[tuple[str, int], list[float]]
@@ -240,16 +240,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--size", type=int, default=100_000, help="of the replay buffers")
     parser.add_argument("--no-compile", action="store_true", help="everything eager")
-    parser.add_argument(
-        "--output",
-        type=Path,
-        help="new file (default: runs/benchmarks/learner.csv, else one with a number)",
-    )
-    args = parser.parse_args(arguments)
-    try:
-        output = choose_file(args.output, Path("runs/benchmarks/learner.csv"))
-    except ValueError as error:
-        parser.error(str(error))
+    args = parse_with_output(parser, arguments, "learner.csv")
     if unknown := set(args.systems) - set(SYSTEMS):
         parser.error(f"unknown systems {sorted(unknown)}; there are {list(SYSTEMS)}.")
     if min(*args.threads, args.rounds) < 1 or args.size < 1000:
@@ -272,8 +263,8 @@ def main(arguments: list[str] | None = None) -> None:
     if not rates:
         raise SystemExit("interrupted before the first round was complete.")
     print(report(rates, spent, operations, missing), f"clock: {args.clock}", sep="\n")
-    write_csv(output, rates)
-    print(f"every measurement: {output}")
+    write_csv(args.output, rates)
+    print(f"every measurement: {args.output}")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ same scenes. Needs the extra ``export`` and a C++ compiler.
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import itertools
 import tempfile
@@ -35,6 +36,7 @@ from torchrl_morl.deploy import (
     LidarGeometry,
     Policy,
     PolicyRunner,
+    Runner,
     export_onnx,
     load_policy,
     training_lidar,
@@ -100,7 +102,7 @@ def graph(file: Path) -> Callable[[Readings], np.ndarray]:
     return lambda readings: session.run(["command"], dict(readings))[0]
 
 
-def stepped(runner: PolicyRunner | OnnxRunner | CppRunner) -> Callable[[Readings], np.ndarray]:
+def stepped(runner: Runner | CppRunner) -> Callable[[Readings], np.ndarray]:
     """A runner asked for one observation after the other, each later than the last."""
     clock = itertools.count()
 
@@ -215,8 +217,11 @@ def main() -> None:
     torch.set_num_threads(1)
     try:
         policy = load_policy(args.policy)
-        if policy.sensing is None or policy.sensing.observe_human_velocity:
-            raise ValueError(f"{args.policy} reads velocities, which this does not compare.")
+        sensing = policy.sensing
+        if sensing is None or not sensing.observe_human or sensing.observe_human_velocity:
+            raise ValueError(
+                f"{args.policy} does not read the human's position alone: this compares no other one."
+            )
         get_robot(policy.robot)
         with from_extra("export", "parity"):
             import onnxruntime  # noqa: F401
@@ -226,48 +231,32 @@ def main() -> None:
         parser.error(str(error).splitlines()[0])
 
 
-def measure(policy: Policy, args, lidar: LidarGeometry, work: Path) -> None:
-    found = ways(policy, args.policy, lidar, work)
+def measure(policy: Policy, args: argparse.Namespace, lidar: LidarGeometry, work: Path) -> None:
+    environment, first, *others = ways(policy, args.policy, lidar, work)
     readings = sensor_readings(policy, lidar, args.inputs, seed=args.seed)
     trained = as_in_training(readings, policy)
     space = policy.preference_space
     equal = np.full((1, space.num_tunable), 1 / space.num_tunable)
-    preferences = np.concatenate((space.corners().numpy(), equal))
-    expected = {}
+    scenes = np.concatenate((space.corners().numpy(), equal)), args.episodes, args.seed
+    as_trained, on_robot = environment.commands(trained), first.commands(readings)
+    driven = drive(policy, None, *scenes)
+    number = len(driven["end"])
+    rows = {environment: ["reference", "-", "reference", f"{number} of {number}"]}
+    with tqdm.tqdm([first, *others], unit="way") as progress:
+        for way in progress:
+            rows[way] = [
+                cell(largest(way.commands(trained), as_trained)),
+                "reference" if way is first else cell(largest(way.commands(readings), on_robot)),
+                *compared(drive(policy, way, *scenes), driven),
+            ]
+    print("| way | as trained | on a robot | path | same end | one command |")
+    print("|---|---|---|---|---|---|")
+    for way, cells in rows.items():
+        taken = f"{latency(way, trained, args.calls):.0f} us"
+        print("| " + " | ".join([way.name, *cells, taken]) + " |")
+    ends, numbers = np.unique(driven["end"].astype(str), return_counts=True)
     print(
-        "| way | as trained | on a robot | path | same end | one command |\n|---|---|---|---|---|---|"
-    )
-    with tqdm.tqdm(total=len(found), unit="way") as progress:
-        for way in found:
-            one = way.commands(trained)
-            reference = expected.setdefault("trained", one)
-            cells = [cell(largest(one, reference)) if one is not reference else "reference"]
-            if way.name == "environment":
-                cells.append("-")
-            else:
-                other = way.commands(readings)
-                reference = expected.setdefault("robot", other)
-                cells.append(
-                    cell(largest(other, reference)) if other is not reference else "reference"
-                )
-            driven = drive(
-                policy,
-                None if way.name == "environment" else way,
-                preferences,
-                args.episodes,
-                args.seed,
-            )
-            reference = expected.setdefault("driven", driven)
-            if driven is reference:
-                cells += ["reference", f"{len(driven['end'])} of {len(driven['end'])}"]
-            else:
-                cells += compared(driven, reference)
-            cells.append(f"{latency(way, trained, args.calls):.0f} us")
-            tqdm.tqdm.write(f"| {way.name} | " + " | ".join(cells) + " |")
-            progress.update()
-    ends, numbers = np.unique(expected["driven"]["end"].astype(str), return_counts=True)
-    print(
-        f"\n{args.inputs} inputs; {len(preferences)} preferences x {args.episodes} scenes: "
+        f"\n{args.inputs} inputs; {len(scenes[0])} preferences x {args.episodes} scenes: "
         + ", ".join(f"{number} {end}" for end, number in zip(ends, numbers))
     )
 

@@ -18,7 +18,6 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from unittest import mock
 
 import torch
@@ -29,11 +28,11 @@ from torchrl.objectives import SoftUpdate
 
 from envs import NavigationEnv
 from recipes.arguments import Parser, positive_int
-from recipes.outputs import choose_file
 from recipes.training import corner_evaluation, gradients, logs, optimizers
 from recipes.training.checkpoint import Checkpoints
 
 from .learner import CLOCKS, machine
+from .output import parse_with_output
 from .workload import PD_MORL, config, run_recipe
 
 OTHER = "everything else"
@@ -200,22 +199,13 @@ def main(arguments: list[str] | None = None) -> None:
         "--frames", type=positive_int, help="environment steps (default: evaluation.interval)"
     )
     parser.add_argument(
-        "--output",
-        type=Path,
-        help="new file (default: runs/benchmarks/training_step.md, else one with a number)",
-    )
-    parser.add_argument(
         "--clock",
         choices=CLOCKS,
         default="wall",
         help="cpu: seconds of this process, for a machine that does other work too",
     )
     parser.add_argument("overrides", nargs="*", help="of recipes/pd_morl/config.yaml")
-    args = parser.parse_args(arguments)
-    try:
-        output = choose_file(args.output, Path("runs/benchmarks/training_step.md"))
-    except ValueError as error:
-        parser.error(str(error))
+    args = parse_with_output(parser, arguments, "training_step.md")
     shipped = config()
     frames = args.frames or shipped.evaluation.interval
     batch = shipped.collector.frames_per_batch
@@ -228,8 +218,8 @@ def main(arguments: list[str] | None = None) -> None:
     watch = profile(overrides, args.clock)
     text = "\n\n".join((table(watch), summary(watch, frames), machine(), f"clock: {args.clock}"))
     print(text)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    output.write_text(text + "\n")
+    args.output.parent.mkdir(parents=True, exist_ok=True)
+    args.output.write_text(text + "\n")
 
 
 if __name__ == "__main__":

@@ -33,6 +33,8 @@
 namespace torchrl_morl {
 
 constexpr double pi = 3.14159265358979323846;
+// Share of a sector within which a beam before its start belongs to it: angles are rounded.
+constexpr double sector_edge = 1e-4;
 
 // m and rad, from the rotation centre.
 struct Polar {
@@ -102,7 +104,7 @@ struct Lidar {
       }
       length = std::min(length, max_range);
       const double n = static_cast<double>(num_sectors);
-      const double sector = std::floor(angle * (n / (2 * pi)) + 1e-4);
+      const double sector = std::floor(angle * (n / (2 * pi)) + sector_edge);
       double& shortest = out[static_cast<std::size_t>(sector - n * std::floor(sector / n)) % num_sectors];
       if (!(shortest <= length)) shortest = length;  // NaN as well
     }

@@ -28,7 +28,7 @@ class Runner {
   Runner(Policy with, Lidar from, Options options = {}) : policy(std::move(with)), lidar(from) {
     lidar.check();
     const Sensing& sensing = policy.sensing;
-    if (std::abs(lidar.increment) > 2 * pi / static_cast<double>(sensing.num_sectors) * (1 + 1e-4))
+    if (std::abs(lidar.increment) > 2 * pi / static_cast<double>(sensing.num_sectors) * (1 + sector_edge))
       throw std::invalid_argument("lidar: too few beams: the policy needs at least " +
                                   std::to_string(sensing.num_sectors) + " a revolution");
     const auto fastest = [](std::pair<double, double> limit) {

@@ -2,8 +2,8 @@
 
 They are for the tests of your own losses, transforms and policies as well: :class:`VectorRewardMockEnv`
 has sensors, nested keys and any batch shape, and :func:`random_transitions` is a batch that every loss of
-this library and of TorchRL accepts. :func:`untrained_policy` is what a robot's own code is tested with, :func:`sensor_readings`
-what it may be given.
+this library and of TorchRL accepts. :func:`untrained_policy` is what a robot's own code is tested with,
+:func:`sensor_readings` what it may be given.
 """
 
 from __future__ import annotations
@@ -157,10 +157,10 @@ def sensor_readings(
     wall = rng.integers(1, 40, (batch, beams)).cumsum(-1) // 400
     distance = 0.1 * (20 * sensing.max_range) ** rng.random((batch, wall.max() + 1))
     ranges = np.take_along_axis(distance, wall, -1) * rng.uniform(1.0, 1.05, wall.shape)
-    spoilt = rng.random(ranges.shape)
-    bad = (np.nan, 0.0, -1.0, np.inf, -np.inf, lidar.range_max + 0.5)
-    for index, value in enumerate(bad):
-        ranges[(spoilt >= 0.02 * index) & (spoilt < 0.02 * (index + 1))] = value
+    bad = np.array([np.nan, 0.0, -1.0, np.inf, -np.inf, lidar.range_max + 0.5])
+    kind = (rng.random(ranges.shape) / 0.02).astype(int)
+    spoilt = kind < len(bad)
+    ranges[spoilt] = bad[kind[spoilt]]
     start = rng.integers(0, beams, (batch, 1))
     hidden = (np.arange(beams) - start) % beams < beams // 3
     ranges[hidden & (rng.random((batch, 1)) < 0.25)] = np.nan
@@ -169,8 +169,8 @@ def sensor_readings(
         far = rng.uniform(0.01, 2 * furthest, batch)
         return np.stack((far, rng.uniform(-2 * np.pi, 2 * np.pi, batch)), -1)
 
-    corners = np.eye(policy.preference_space.num_tunable)
-    preference = np.concatenate((corners, rng.dirichlet(corners[0] * 0 + 1, batch)))[:batch]
+    size = policy.preference_space.num_tunable
+    preference = np.concatenate((np.eye(size), rng.dirichlet(np.ones(size), batch)))[:batch]
     readings = {"ranges": ranges, "goal": positions(sensing.goal_range[1])}
     if sensing.observe_human:
         readings["human"] = positions(sensing.human_range[1])

@@ -11,7 +11,7 @@ import pytest
 from recipes.outputs import choose_file
 
 pytestmark = pytest.mark.benchmark
-WALKING = Path(__file__).parents[2] / "recipes" / "policies" / "moving_humans"
+POLICIES = Path(__file__).parents[2] / "recipes" / "policies"
 MODULES = ("collecting", "environment", "growth", "learner", "training_step")
 MISTAKES = [
     *(
@@ -30,7 +30,8 @@ MISTAKES = [
     ("lidars", ["--policy", "nowhere"], "nowhere/policy.safetensors not found"),
     ("parity", ["--inputs", "1"], "--inputs: must be a whole number at least 100, got '1'"),
     ("parity", ["--policy", "nowhere"], "nowhere/policy.safetensors not found"),
-    ("parity", ["--policy", str(WALKING)], "reads velocities, which this does not compare"),
+    ("parity", ["--policy", str(POLICIES / "moving_humans")], "the human's position alone"),
+    ("parity", ["--policy", str(POLICIES / "our_nh")], "the human's position alone"),
     ("time_to_quality", ["train", "nobody"], "invalid choice: 'nobody'"),
 ]
 

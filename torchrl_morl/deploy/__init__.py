@@ -8,7 +8,7 @@ from .onnx_export import export_onnx, training_lidar
 from .policy import Policy
 from .policy_files import load_policy, save_policy
 from .reward_model import load_reward_model, save_reward_model
-from .runner import Command, PolicyRunner
+from .runner import Command, PolicyRunner, Runner
 from .sensing import Limits, Sensing
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "Policy",
     "PolicyGraph",
     "PolicyRunner",
+    "Runner",
     "Sensing",
     "export_onnx",
     "from_hub",

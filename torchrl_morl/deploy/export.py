@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from . import onnx_runner
-from .files import write_new
+from .files import check_new, write_new
 from .lidar import LidarGeometry
 from .onnx_export import export_onnx, training_lidar
 from .policy_files import load_policy
@@ -64,7 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     try:
         if given.runner is not None:
-            _check_new(given.runner, given.onnx)
+            check_new(given.runner)
+            if given.runner.resolve() == given.onnx.resolve():
+                raise ValueError(f"--runner {given.runner} is the file of --onnx: choose another.")
         policy = load_policy(given.policy)
         if given.lidar is None:
             if given.mount is not None:
@@ -96,15 +98,6 @@ def _lidar(numbers: Sequence[str], mount: Sequence[float]) -> LidarGeometry:
         return LidarGeometry(first, increment, num_beams, nearest, furthest, tuple(mount))
     except ValueError as error:
         raise ValueError(f"{given}: {str(error).removeprefix('lidar: ')}") from error
-
-
-def _check_new(runner: Path, onnx: Path) -> None:
-    if runner.exists() or runner.is_symlink():
-        raise ValueError(f"--runner {runner} exists and is not overwritten: choose another name.")
-    if not runner.parent.is_dir():
-        raise ValueError(f"--runner {runner}: there is no folder {runner.parent}: make it first.")
-    if runner.resolve() == onnx.resolve():
-        raise ValueError(f"--runner {runner} is the file of --onnx: choose another name.")
 
 
 if __name__ == "__main__":

@@ -211,6 +211,19 @@ def _entry(entry: tuple[str, tuple[int, ...]] | None) -> str:
     return "nothing" if entry is None else f"{entry[0]} of shape {entry[1]}"
 
 
+def check_new(path: Path) -> None:
+    """Whether a file can be made there, asked before any work is done.
+
+    Raises:
+        FileExistsError: if there is something.
+        FileNotFoundError: if there is no folder for it.
+    """
+    if path.exists() or path.is_symlink():
+        raise FileExistsError(f"{path} exists and is not overwritten: choose another name.")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path}: there is no folder {path.parent}: make it first.")
+
+
 def write_new(path: Path, data: bytes) -> None:
     """Write a file that does not exist yet, down to the disk.
 

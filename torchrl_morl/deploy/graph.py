@@ -33,7 +33,7 @@ class SectorMinima(nn.Module):
 
     def __init__(self, lidar: LidarGeometry, sensing: Sensing) -> None:
         super().__init__()
-        self.num_beams, self.num_sectors = lidar.num_beams, sensing.num_sectors
+        self.num_sectors = sensing.num_sectors
         self.near, self.far = lidar.thresholds
         self.range_min = float(lidar.range_min)
         self.max_range, self.unknown_range = sensing.max_range, sensing.unknown_range

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from torchrl_morl.arguments import is_number
 
-from .entries import one_line
+from .onnx_runner import as_reported, numeric_ranges
 from .sensing import Sensing
 
 __all__ = ["LidarGeometry", "sector_of"]
@@ -124,7 +124,7 @@ class LidarGeometry:
         Raises:
             ValueError: for a scan with another number of beams, or one that is not numbers.
         """
-        ranges = self._array(ranges)
+        ranges = numeric_ranges(ranges, self.num_beams)
         batch = ranges.shape[:-1]
         ranges = ranges.reshape(-1, self.num_beams)
         near, far = self.thresholds
@@ -169,12 +169,8 @@ class LidarGeometry:
 
     @functools.cached_property
     def thresholds(self) -> tuple[float, float]:
-        """From where on a reading is valid, and from where on free, metres.
-
-        Drivers report float32: their 0.12 is a little less than 0.12, and 0.12 all the same.
-        """
-        near, far = (min(x, float(np.float32(x))) for x in (self.range_min, self.range_max))
-        return near, far
+        """From where on a reading is valid, and from where on free, metres, as drivers report them."""
+        return as_reported(self.range_min), as_reported(self.range_max)
 
     @functools.cached_property
     def angles(self) -> np.ndarray:
@@ -184,24 +180,6 @@ class LidarGeometry:
     @functools.cached_property
     def _directions(self) -> tuple[np.ndarray, np.ndarray]:
         return np.cos(self.angles), np.sin(self.angles)
-
-    def _array(self, ranges: ArrayLike) -> np.ndarray:
-        if isinstance(ranges, np.ma.MaskedArray):
-            # What is masked is invalid, whatever stands behind the mask.
-            ranges = np.ma.filled(ranges.astype(np.float64), np.nan)
-        try:
-            ranges = np.asarray(ranges)
-            if ranges.dtype.kind not in "fiu":
-                raise ValueError(f"they are {ranges.dtype}")
-            ranges = ranges.astype(np.float64, copy=False)
-        except (TypeError, ValueError, RuntimeError) as error:
-            raise ValueError(f"ranges must be numbers, one a beam: {one_line(error)}.") from error
-        if ranges.ndim == 0 or ranges.shape[-1] != self.num_beams:
-            raise ValueError(
-                f"ranges must have shape [..., {self.num_beams}], one a beam, "
-                f"got {list(ranges.shape)}."
-            )
-        return ranges
 
     def _refused(self, name: str, allowed: str) -> ValueError:
         return ValueError(f"lidar: {name} must be {allowed}, got {getattr(self, name)!r}.")

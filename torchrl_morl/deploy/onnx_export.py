@@ -9,7 +9,7 @@ import io
 import json
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +19,13 @@ import torch
 from torchrl_morl._extras import from_extra
 
 from .entries import null_for_nan, one_line
-from .files import weights_bytes, write_new
+from .files import check_new, weights_bytes, write_new
 from .graph import PolicyGraph
 from .lidar import LidarGeometry
+from .onnx_runner import FORMAT
 from .policy import Policy
 
-__all__ = ["ONNX_FORMAT", "export_onnx", "training_lidar"]
-
-ONNX_FORMAT = 1
-"""Of the inputs, outputs and metadata of an exported file."""
+__all__ = ["export_onnx", "training_lidar"]
 
 _OPSET = 18
 _TOLERANCE = 1e-4
@@ -103,6 +101,7 @@ def export_onnx(policy: Policy, file: str | Path, *, lidar: LidarGeometry) -> Pa
 
     Raises:
         FileExistsError: if there is such a file.
+        FileNotFoundError: if there is no folder for it.
         ImportError: without the extra ``export``.
         ValueError: for a policy that does not tell what it senses or is of float64, for a lidar too
             coarse for it, or where the file would not compute what the policy does.
@@ -121,10 +120,7 @@ def export_onnx(policy: Policy, file: str | Path, *, lidar: LidarGeometry) -> Pa
     if not isinstance(lidar, LidarGeometry):
         raise ValueError(f"lidar must be a LidarGeometry, got {lidar!r}.")
     path = Path(file)
-    if path.exists() or path.is_symlink():
-        raise FileExistsError(f"{path} exists and is not overwritten: choose another name.")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path}: there is no folder {path.parent}: make it first.")
+    check_new(path)
     graph = PolicyGraph(policy, lidar).cpu().eval()
     if graph.dtype != torch.float32:
         raise ValueError(
@@ -148,7 +144,7 @@ def export_onnx(policy: Policy, file: str | Path, *, lidar: LidarGeometry) -> Pa
         )
     model = program.model_proto
     _strip(model)
-    onnx.helper.set_model_props(model, metadata(policy, lidar))
+    onnx.helper.set_model_props(model, _metadata(policy, lidar, graph.input_names))
     data = model.SerializeToString()
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     inputs = _example(graph, batch=64, seed=1)
@@ -165,14 +161,13 @@ def export_onnx(policy: Policy, file: str | Path, *, lidar: LidarGeometry) -> Pa
     return path
 
 
-def metadata(policy: Policy, lidar: LidarGeometry) -> dict[str, str]:
+def _metadata(policy: Policy, lidar: LidarGeometry, inputs: Sequence[str]) -> dict[str, str]:
     """What an exported file tells of itself, every value as JSON."""
     space = policy.preference_space
-    graph_inputs = PolicyGraph(policy, lidar).input_names
-    units: dict[str, Any] = {name: _UNITS[name] for name in graph_inputs if name in _UNITS}
+    units: dict[str, Any] = {name: _UNITS[name] for name in inputs if name in _UNITS}
     units["preference"] = {"entries": list(space.tunable), "unit": "1"}
     values = {
-        "torchrl_morl_format": ONNX_FORMAT,
+        "torchrl_morl_format": FORMAT,
         "objectives": list(space.objectives),
         "static": dict(space.static),
         "preference": list(space.tunable),

@@ -4,23 +4,27 @@ This file stands alone. Copy it to the robot, beside the file that ``export_onnx
 
     from onnx_runner import OnnxRunner
 
-An ONNX graph refuses nothing; this refuses what ``torchrl_morl.deploy.PolicyRunner`` refuses, for the
-same reasons, and gives the same commands.
+An ONNX graph refuses nothing; this refuses what ``torchrl_morl.deploy.PolicyRunner`` refuses. When to stop
+is written here for both: the library imports it from here, since this file may import nothing of the library.
 """
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import json
 import math
 import numbers
 from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-__all__ = ["Command", "OnnxRunner"]
+__all__ = ["Command", "OnnxRunner", "Runner"]
+
+Reason = Literal["drive", "goal reached", "clock", "stale", "no scan", "no goal", "refused"]
 
 FORMAT = 1
 TOLERANCE = 1e-4  # how far the sum of a preference may be from one
@@ -35,7 +39,7 @@ class Command:
     Args:
         speed: forward, m/s.
         turn_rate: counter-clockwise, rad/s.
-        reason: ``"drive"``, or why the robot stops.
+        reason: ``"drive"``, or why the robot stops: see :class:`~torchrl_morl.deploy.PolicyRunner`.
         detail: the same for a person to read; empty while driving.
         valid_until: on the clock of ``time``, seconds. A base that has got no other command by then
             must stop on its own: nothing here runs if the process hangs.
@@ -43,16 +47,139 @@ class Command:
 
     speed: float
     turn_rate: float
-    reason: str
+    reason: Reason
     detail: str
     valid_until: float
 
 
-class OnnxRunner:
-    """Drives a robot with an exported policy: one :meth:`step` a control period.
+class Runner(abc.ABC):
+    """When a robot stops, whatever computes its commands: one :meth:`step` a control period."""
 
-    The reasons to stop are those of :class:`torchrl_morl.deploy.PolicyRunner`: ``goal reached``,
-    ``clock``, ``stale``, ``no scan``, ``no goal`` and ``refused``.
+    def __init__(
+        self,
+        period: float,
+        nearest_goal: float,
+        limits: Mapping[str, Sequence[float]],
+        given: tuple[float | None, float | None, float | None, float | None],
+    ) -> None:
+        goal_radius, timeout, max_speed, max_turn_rate = given
+        fastest = {name: max(map(abs, limits[name])) for name in ("speed", "turn_rate")}
+        self.period = period
+        self.goal_radius = _positive("goal_radius", goal_radius, nearest_goal)
+        self.timeout = _positive("timeout", timeout, period)
+        self.max_speed = _positive("max_speed", max_speed, fastest["speed"])
+        self.max_turn_rate = _positive("max_turn_rate", max_turn_rate, fastest["turn_rate"])
+        self._time: float | None = None
+        self._human: tuple[float, float, float] | None = None
+        self._velocity = (0.0, 0.0)
+
+    def step(
+        self,
+        ranges: ArrayLike | None,
+        *,
+        goal: Sequence[float] | None,
+        preference: Sequence[float],
+        stamp: float,
+        time: float,
+        human: Sequence[float] | None = None,
+        human_velocity: Sequence[float] | None = None,
+        odometry: Sequence[float] | None = None,
+    ) -> Command:
+        """Command for the next control period. It raises for nothing that it is given: it stops.
+
+        Args:
+            ranges: the scan ``[num_beams]``, metres.
+
+        Keyword Args:
+            goal: distance (m) and bearing (rad) from the robot.
+            preference: weights of the tunable objectives, on the simplex.
+            stamp: when the oldest input was measured, seconds.
+            time: now, on the same clock.
+            human: distance (m) of the nearest person's centre, and bearing (rad); ``None``: nobody.
+            human_velocity: of that person over the ground, ahead and to the left of the robot, m/s.
+                Only for policies that read it.
+            odometry: instead of ``human_velocity``: where the robot is in any fixed frame, x and y
+                (m) and heading (rad). The velocity is then that between two positions of the human;
+                at first sight it is 0.
+        """
+        last, self._time = self._time, time if _is_number(time) else self._time
+        if not _is_number(time) or not _is_number(stamp):
+            given = f"{_shown(time)} and {_shown(stamp)}"
+            return self._stop("clock", f"time and stamp must be finite numbers, got {given}")
+        if last is not None and time <= last:
+            return self._stop("clock", f"time is {time} s, at the last step it was {last} s")
+        age = time - stamp
+        if age < -self.timeout:
+            return self._stop("clock", f"stamp is {-age:.2f} s later than time: two clocks")
+        if age > self.timeout + 1e-9:
+            allowed = f"at most {self.timeout:g} s are allowed"
+            return self._stop("stale", f"the inputs are {age:.2f} s old, {allowed}")
+        if ranges is None:
+            return self._stop("no scan", "the scan is None")
+        if goal is None:
+            return self._stop("no goal", "the goal is None")
+        try:
+            scan, has_valid_beam = self._scan(ranges)
+            inputs = {"goal": _polar("goal", goal), "human": None, "human_velocity": None}
+            if human is not None:
+                inputs["human"] = human = _polar("human", human)
+                if human[0] == 0:
+                    raise ValueError("the human is at 0 m: for nobody pass human=None")
+                if human_velocity is None and odometry is not None:
+                    human_velocity = self._velocity_of(human, odometry, stamp)
+                inputs["human_velocity"] = human_velocity
+            inputs["preference"] = preference
+            speed, turn_rate = self._command(scan, inputs)
+        except Exception as error:
+            # Whatever objects are given may raise whatever they like: the robot stops.
+            kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+            return self._stop("refused", kind + _one_line(error).rstrip("."))
+        if not has_valid_beam:
+            return self._stop("no scan", "the scan has no valid beam")
+        if (distance := inputs["goal"][0]) <= self.goal_radius:
+            return self._stop("goal reached", f"the goal is {distance:.2f} m away")
+        # Both by the same, so that it follows the same arc.
+        slower = max(1.0, abs(speed) / self.max_speed, abs(turn_rate) / self.max_turn_rate)
+        return Command(speed / slower, turn_rate / slower, "drive", "", time + self.timeout)
+
+    @abc.abstractmethod
+    def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
+        """What the policy reads of a scan, and whether any of its beams is valid."""
+
+    @abc.abstractmethod
+    def _command(self, scan: np.ndarray, inputs: dict[str, Any]) -> tuple[float, float]:
+        """Speed (m/s) and turn rate (rad/s); inputs are goal, human, its velocity and the preference."""
+
+    def _velocity_of(
+        self, human: tuple[float, float], odometry: Sequence[float], stamp: float
+    ) -> tuple[float, float]:
+        """Of the human since the last step, along the axes of the robot."""
+        x, y, heading = _numbers("odometry", odometry, "x, y and heading", 3)
+        distance, bearing = human
+        x += distance * math.cos(heading + bearing)
+        y += distance * math.sin(heading + bearing)
+        last, self._human = self._human, (stamp, x, y)
+        since = stamp - last[0] if last else math.inf
+        if since <= 0:  # the same inputs again
+            self._human = last
+        elif since > FORGET_HUMAN * self.period:
+            self._velocity = (0.0, 0.0)
+        else:
+            velocity = (x - last[1]) / since, (y - last[2]) / since
+            self._velocity = velocity if math.hypot(*velocity) <= FASTEST_HUMAN else (0.0, 0.0)
+        east, north = self._velocity
+        cos, sin = math.cos(heading), math.sin(heading)
+        return cos * east + sin * north, cos * north - sin * east
+
+    def _stop(self, reason: Reason, detail: str) -> Command:
+        until = math.inf if self._time is None else self._time + self.timeout
+        return Command(0.0, 0.0, reason, detail, until)
+
+
+class OnnxRunner(Runner):
+    """Drives a robot with an exported policy: one :meth:`~Runner.step` a control period.
+
+    The reasons to stop are those of :class:`torchrl_morl.deploy.PolicyRunner`.
 
     Args:
         file: that ``export_onnx`` wrote.
@@ -83,11 +210,8 @@ class OnnxRunner:
         ... )
         >>> command.reason, command.speed > 0.1
         ('drive', True)
-        >>> runner.step(
-        ...     scan, goal=(3.0, 0.1), preference=(1, 1, 0), stamp=0.2, time=0.25
-        ... ).detail
-        "preference = [1.0, 1.0, 0.0] over ('demo', 'distance', 'efficiency') sums to 2; it must sum \
-to 1 within 0.0001"
+        >>> runner.step(scan, goal=(3.0, 0.1), preference=(1, 1, 0), stamp=0.2, time=0.25).reason
+        'refused'
     """
 
     def __init__(
@@ -109,146 +233,52 @@ to 1 within 0.0001"
             raise FileNotFoundError(f"{file} not found: export_onnx writes such a file.")
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1  # the network is small
-        providers = ["CPUExecutionProvider"]
         try:
-            self._session = onnxruntime.InferenceSession(str(file), options, providers=providers)
+            self._session = onnxruntime.InferenceSession(
+                str(file), options, providers=["CPUExecutionProvider"]
+            )
         except Exception as error:
             raise ValueError(f"{file} is no ONNX file: {_one_line(error)}.") from error
-        self.metadata = _metadata(self._session, file)
-        self.preference_names = tuple(self.metadata["preference"])
-        self.period: float = self.metadata["period"]
+        self.metadata = told = _metadata(self._session, file)
+        self.preference_names = tuple(told["preference"])
         self._reads = [value.name for value in self._session.get_inputs()]
-        self._lidar, self._sensing = self.metadata["lidar"], self.metadata["sensing"]
-        limits = self.metadata["limits"]
-        self.goal_radius = self._sensing["goal_range"][0] if goal_radius is None else goal_radius
-        self.timeout = self.period if timeout is None else timeout
-        fastest = {name: max(map(abs, limits[name])) for name in ("speed", "turn_rate")}
-        self.max_speed = fastest["speed"] if max_speed is None else max_speed
-        self.max_turn_rate = fastest["turn_rate"] if max_turn_rate is None else max_turn_rate
-        for name in ("goal_radius", "timeout", "max_speed", "max_turn_rate"):
-            value = getattr(self, name)
-            if not (_is_number(value) and value > 0):
-                raise ValueError(f"{name} must be finite and positive, got {value!r}.")
-        self._time: float | None = None
-        self._human: tuple[float, float, float] | None = None
-        self._velocity = (0.0, 0.0)
+        self._lidar, self._sensing = told["lidar"], told["sensing"]
+        given = goal_radius, timeout, max_speed, max_turn_rate
+        super().__init__(told["period"], told["sensing"]["goal_range"][0], told["limits"], given)
 
-    def step(
-        self,
-        ranges: Any,
-        *,
-        goal: Sequence[float] | None,
-        preference: Sequence[float],
-        stamp: float,
-        time: float,
-        human: Sequence[float] | None = None,
-        human_velocity: Sequence[float] | None = None,
-        odometry: Sequence[float] | None = None,
-    ) -> Command:
-        """Command for the next control period. It raises for nothing that it is given: it stops.
+    def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
+        ranges = numeric_ranges(ranges, self._lidar["num_beams"])
+        if ranges.ndim != 1:
+            raise ValueError(f"one scan at a time, got {len(ranges)}")
+        near = as_reported(self._lidar["range_min"])
+        valid = ((ranges >= near) & (ranges > 0)) | (ranges == -math.inf)
+        return ranges, bool(valid.any())
 
-        Args:
-            ranges: the scan ``[num_beams]``, metres.
-
-        Keyword Args:
-            goal: distance (m) and bearing (rad) from the robot.
-            preference: weights of the tunable objectives, on the simplex.
-            stamp: when the oldest input was measured, seconds.
-            time: now, on the same clock.
-            human: distance (m) and bearing (rad) of the nearest person; ``None``: nobody.
-            human_velocity: of that person over the ground, ahead and to the left of the robot, m/s.
-                Only for policies that read it.
-            odometry: instead of ``human_velocity``: x and y (m) and heading (rad) of the robot in any
-                fixed frame.
-        """
-        last, self._time = self._time, time if _is_number(time) else self._time
-        if not _is_number(time) or not _is_number(stamp):
-            given = f"{_shown(time)} and {_shown(stamp)}"
-            return self._stop("clock", f"time and stamp must be finite numbers, got {given}")
-        if last is not None and time <= last:
-            return self._stop("clock", f"time is {time} s, at the last step it was {last} s")
-        age = time - stamp
-        if age < -self.timeout:
-            return self._stop("clock", f"stamp is {-age:.2f} s later than time: two clocks")
-        if age > self.timeout + 1e-9:
-            allowed = f"at most {self.timeout:g} s are allowed"
-            return self._stop("stale", f"the inputs are {age:.2f} s old, {allowed}")
-        if ranges is None:
-            return self._stop("no scan", "the scan is None")
-        if goal is None:
-            return self._stop("no goal", "the goal is None")
-        try:
-            ranges, goal = self._scan(ranges), _polar("goal", goal)
-            human = None if human is None else _polar("human", human)
-            if human is not None and human[0] == 0:
-                raise ValueError("the human is at 0 m: for nobody pass human=None")
-            if human is not None and human_velocity is None and odometry is not None:
-                human_velocity = self._velocity_of(human, odometry, stamp)
-            inputs = {"ranges": ranges, "goal": goal} | self._person(human, human_velocity)
-            inputs["preference"] = self._preference(preference)
-            row = {name: _row(name, inputs[name]) for name in self._reads}
-            speed, turn_rate = map(float, self._session.run(["command"], row)[0][0])
-            if not math.isfinite(speed + turn_rate):
-                raise ValueError(f"the policy's command is not finite, {[speed, turn_rate]}")
-        except Exception as error:
-            # Whatever objects are given may raise whatever they like: the robot stops.
-            kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-            return self._stop("refused", kind + _one_line(error).rstrip("."))
-        near = _rounded(self._lidar["range_min"])
-        if not (((ranges >= near) & (ranges > 0)) | (ranges == -math.inf)).any():
-            return self._stop("no scan", "the scan has no valid beam")
-        if goal[0] <= self.goal_radius:
-            return self._stop("goal reached", f"the goal is {goal[0]:.2f} m away")
-        share = min(
-            1.0,
-            self.max_speed / max(abs(speed), 1e-9),
-            self.max_turn_rate / max(abs(turn_rate), 1e-9),
-        )
-        return Command(speed * share, turn_rate * share, "drive", "", time + self.timeout)
-
-    def _scan(self, ranges: Any) -> np.ndarray:
-        if isinstance(ranges, np.ma.MaskedArray):
-            ranges = np.ma.filled(ranges.astype(np.float64), np.nan)
-        try:
-            ranges = np.asarray(ranges)
-        except (TypeError, ValueError, RuntimeError) as error:
-            raise ValueError(f"ranges must be numbers, one a beam: {_one_line(error)}") from error
-        if ranges.dtype.kind not in "fiu":
-            raise ValueError(f"ranges must be numbers, one a beam: they are {ranges.dtype}")
-        if ranges.shape != (self._lidar["num_beams"],):
-            raise ValueError(
-                f"ranges must have shape [{self._lidar['num_beams']}], one a beam, "
-                f"got {list(ranges.shape)}"
-            )
-        return ranges
-
-    def _person(
-        self, human: tuple[float, float] | None, velocity: Sequence[float] | None
-    ) -> dict[str, Sequence[float]]:
-        if "human_velocity" not in self._reads:
-            velocity = (0.0, 0.0)
-        elif human is not None and velocity is None:
-            raise ValueError(
-                "this policy reads the human's velocity: give human_velocity=, ahead and to the "
-                "left in m/s, or odometry="
-            )
-        still = human is None or velocity is None
-        velocity = (0.0, 0.0) if still else _numbers("human_velocity", velocity, "two speeds", 2)
-        return {
-            "human": self._sensing["nobody"] if human is None else human,
-            "human_velocity": velocity,
-        }
+    def _command(self, scan: np.ndarray, inputs: dict[str, Any]) -> tuple[float, float]:
+        inputs |= {"ranges": scan, "preference": self._preference(inputs["preference"])}
+        if inputs["human"] is None:
+            inputs |= {"human": self._sensing["nobody"], "human_velocity": (0.0, 0.0)}
+        rows = {}
+        for name in self._reads:
+            value = inputs[name]
+            if name == "human_velocity":
+                if value is None:
+                    give = "give human_velocity= (ahead, left; m/s) or odometry="
+                    raise ValueError(f"this policy reads the human's velocity: {give}")
+                value = _numbers(name, value, "two speeds", 2)
+            with np.errstate(over="ignore"):
+                rows[name] = np.asarray(value, dtype=np.float32)[None]
+            if name != "ranges" and not np.isfinite(rows[name]).all():
+                raise ValueError(f"{name} must be finite, got {list(value)}")
+        speed, turn_rate = map(float, self._session.run(["command"], rows)[0][0])
+        if not math.isfinite(speed + turn_rate):
+            raise ValueError(f"the policy's command is not finite, {[speed, turn_rate]}")
+        return speed, turn_rate
 
     def _preference(self, preference: Sequence[float]) -> np.ndarray:
-        if isinstance(preference, np.ma.MaskedArray):
-            preference = np.ma.filled(preference.astype(np.float64), np.nan)
         names = self.preference_names
-        try:
-            weights = np.asarray(preference)
-        except (TypeError, ValueError, RuntimeError) as error:
-            raise ValueError(f"preference is no array of numbers: {_one_line(error)}") from error
-        if weights.dtype.kind not in "fiub":
-            raise ValueError(f"preference is no array of numbers: it is {weights.dtype}")
+        wrong = "preference is no array of numbers"
+        weights = _array(preference, "fiub", wrong, f"{wrong}: it is")
         if weights.shape != (len(names),):
             raise ValueError(
                 f"preference must have shape [{len(names)}] for {names}, got {list(weights.shape)}"
@@ -266,38 +296,9 @@ to 1 within 0.0001"
             )
         return weights
 
-    def _velocity_of(
-        self, human: tuple[float, float], odometry: Sequence[float], stamp: float
-    ) -> tuple[float, float]:
-        """Of the human since the last step, along the axes of the robot."""
-        x, y, heading = _numbers("odometry", odometry, "x, y and heading", 3)
-        distance, bearing = human
-        x += distance * math.cos(heading + bearing)
-        y += distance * math.sin(heading + bearing)
-        last, self._human = self._human, (stamp, x, y)
-        since = stamp - last[0] if last else math.inf
-        if since <= 0:  # the same inputs again
-            self._human = last
-        elif since > FORGET_HUMAN * self.period:
-            self._velocity = (0.0, 0.0)
-        else:
-            velocity = (x - last[1]) / since, (y - last[2]) / since
-            self._velocity = velocity if math.hypot(*velocity) <= FASTEST_HUMAN else (0.0, 0.0)
-        east, north = self._velocity
-        cos, sin = math.cos(heading), math.sin(heading)
-        return cos * east + sin * north, cos * north - sin * east
-
-    def _stop(self, reason: str, detail: str) -> Command:
-        until = math.inf if self._time is None else self._time + self.timeout
-        return Command(0.0, 0.0, reason, detail, until)
-
 
 def _metadata(session: Any, file: str | Path) -> dict[str, Any]:
-    """What the file tells of itself.
-
-    Raises:
-        ValueError: if it is not one of ``export_onnx``, or of a later format.
-    """
+    """What the file tells of itself; ``ValueError`` where it is not one of ``export_onnx`` and this format."""
     found = session.get_modelmeta().custom_metadata_map
     if "torchrl_morl_format" not in found:
         raise ValueError(f"{file} is not a file of export_onnx: it lacks torchrl_morl_format.")
@@ -316,18 +317,33 @@ def _metadata(session: Any, file: str | Path) -> dict[str, Any]:
     return values
 
 
-def _row(name: str, value: Any) -> np.ndarray:
-    """A batch of one; ranges may be infinite, or no number, and nothing else may."""
-    with np.errstate(over="ignore"):
-        row = np.asarray(value, dtype=np.float32)[None]
-    if name != "ranges" and not np.isfinite(row).all():
-        raise ValueError(f"{name} must be finite, got {list(value)}")
-    return row
-
-
-def _rounded(length: float) -> float:
-    """A limit as a driver reports it, in float32, where that is less."""
+def as_reported(length: float) -> float:
+    """A limit as a driver reports it, in float32, where that is less: their 0.12 is less than 0.12."""
     return min(length, float(np.float32(length)))
+
+
+def numeric_ranges(ranges: ArrayLike, num_beams: int) -> np.ndarray:
+    """Ranges ``[*B, num_beams]`` as float64, NaN where they are masked; ``ValueError`` for what is none."""
+    wrong = "ranges must be numbers, one a beam"
+    ranges = _array(ranges, "fiu", wrong, f"{wrong}: they are").astype(np.float64, copy=False)
+    if ranges.ndim == 0 or ranges.shape[-1] != num_beams:
+        raise ValueError(
+            f"ranges must have shape [..., {num_beams}], one a beam, got {list(ranges.shape)}."
+        )
+    return ranges
+
+
+def _array(value: ArrayLike, kinds: str, wrong: str, wrong_dtype: str) -> np.ndarray:
+    if isinstance(value, np.ma.MaskedArray):
+        # What is masked is invalid, whatever stands behind the mask.
+        value = np.ma.filled(value.astype(np.float64), np.nan)
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{wrong}: {_one_line(error)}.") from error
+    if array.dtype.kind not in kinds:
+        raise ValueError(f"{wrong_dtype} {array.dtype}.")
+    return array
 
 
 def _numbers(name: str, value: Any, what: str, count: int) -> tuple[float, ...]:
@@ -353,6 +369,13 @@ def _polar(name: str, value: Any) -> tuple[float, float]:
     return distance, bearing
 
 
+def _positive(name: str, value: float | None, default: float) -> float:
+    value = default if value is None else value
+    if not (_is_number(value) and value > 0):
+        raise ValueError(f"{name} must be finite and positive, got {value!r}.")
+    return value
+
+
 def _is_number(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         return False
@@ -370,5 +393,6 @@ def _shown(value: object) -> str:
 
 
 def _one_line(error: object) -> str:
+    """A message in one short line, without the dot at its end."""
     text = " ".join(str(error).split())
-    return text if len(text) <= 200 else f"{text[:200]}..."
+    return (text if len(text) <= 200 else f"{text[:200]}...").removesuffix(".")

@@ -20,13 +20,12 @@ from torchrl_morl.transforms import check_finite
 
 from .entries import one_line
 from .features import RowFeatures
+from .onnx_runner import TOLERANCE
 from .sensing import Limits, Sensing
 
 __all__ = ["Policy"]
 
 _NUMPY = {torch.float32: np.float32, torch.float64: np.float64}
-_TOLERANCE = 1e-4
-"""How far the sum of a preference may be from one."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -218,7 +217,7 @@ class Policy:
             ValueError: for the first thing.
         """
         check_finite(inputs, list(inputs))
-        self.preference_space.validate(inputs["preference"], tol=_TOLERANCE)
+        self.preference_space.validate(inputs["preference"], tol=TOLERANCE)
         for name, value in inputs.items():
             lengths = value if name == "lidar" else value[..., :1]
             if name != "human_velocity" and lengths.min() < 0:
@@ -237,7 +236,7 @@ class Policy:
         if sensing.observe_human_velocity:
             rows += [(-huge, huge, huge)] * 2
         rows += [(0.0, huge, huge)] * self.preference_space.num_tunable
-        rows += [(1 - _TOLERANCE, 1 + _TOLERANCE, 1 + _TOLERANCE)]  # the sum of the preference
+        rows += [(1 - TOLERANCE, 1 + TOLERANCE, 1 + TOLERANCE)]  # the sum of the preference
         low, high, trained = self._like.new_tensor(rows).T.contiguous()
         return low, high, trained
 

@@ -2,53 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from collections.abc import Mapping, Sequence, Set
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from torchrl_morl.arguments import is_number
-
-from .entries import one_line
 from .lidar import LidarGeometry
+from .onnx_runner import Command, Reason, Runner
 from .policy import Policy
 
-__all__ = ["Command", "PolicyRunner", "Reason"]
-
-Reason = Literal["drive", "goal reached", "clock", "stale", "no scan", "no goal", "refused"]
-
-_FASTEST_HUMAN = 3.0
-"""m/s. Two positions further apart are not those of one person."""
-
-_FORGET_HUMAN = 5
-"""Periods after which a human who comes back is seen for the first time."""
+__all__ = ["Command", "PolicyRunner", "Reason", "Runner"]
 
 
-@dataclasses.dataclass(frozen=True)
-class Command:
-    """What the base is told.
-
-    Args:
-        speed: forward, m/s.
-        turn_rate: counter-clockwise, rad/s.
-        reason: ``"drive"``, or why the robot stops: see :class:`PolicyRunner`.
-        detail: the same for a person to read; empty while driving.
-        valid_until: on the clock of ``time``, seconds. A base that has got no other command by then
-            must stop on its own: nothing here runs if the process hangs.
-    """
-
-    speed: float
-    turn_rate: float
-    reason: Reason
-    detail: str
-    valid_until: float
-
-
-class PolicyRunner:
-    """Drives a robot with a policy: one :meth:`step` a control period.
+class PolicyRunner(Runner):
+    """Drives a robot with a policy: one :meth:`~Runner.step` a control period.
 
     It stops, with speed and turn rate 0, for these reasons:
 
@@ -127,157 +94,22 @@ class PolicyRunner:
             raise ValueError("the file of this policy does not tell what it senses.")
         lidar.check(policy.sensing)
         self.policy, self.lidar = policy, lidar
-        limits = policy.limits
-        self.goal_radius = policy.sensing.goal_range[0] if goal_radius is None else goal_radius
-        self.timeout = policy.period if timeout is None else timeout
-        self.max_speed = max(map(abs, limits.speed)) if max_speed is None else max_speed
-        self.max_turn_rate = (
-            max(map(abs, limits.turn_rate)) if max_turn_rate is None else max_turn_rate
-        )
-        for name in ("goal_radius", "timeout", "max_speed", "max_turn_rate"):
-            value = getattr(self, name)
-            if not (is_number(value) and value > 0):
-                raise ValueError(f"{name} must be finite and positive, got {value!r}.")
-        self._time: float | None = None
-        self._human: tuple[float, float, float] | None = None
-        self._velocity = (0.0, 0.0)
+        nearest_goal, _ = policy.sensing.goal_range
+        given = goal_radius, timeout, max_speed, max_turn_rate
+        super().__init__(policy.period, nearest_goal, policy.limits.to_json(), given)
 
-    def step(
-        self,
-        ranges: ArrayLike | None,
-        *,
-        goal: Sequence[float] | None,
-        preference: Sequence[float],
-        stamp: float,
-        time: float,
-        human: Sequence[float] | None = None,
-        human_velocity: Sequence[float] | None = None,
-        odometry: Sequence[float] | None = None,
-    ) -> Command:
-        """Command for the next control period. It raises for nothing that it is given: it stops.
-
-        Args:
-            ranges: the scan ``[num_beams]``, metres.
-
-        Keyword Args:
-            goal: distance (m) and bearing (rad) from the robot.
-            preference: weights of the tunable objectives, on the simplex.
-            stamp: when the oldest input was measured, seconds.
-            time: now, on the same clock.
-            human: distance (m) of the nearest person's centre, and bearing (rad); ``None`` if there
-                is nobody.
-            human_velocity: of that person over the ground, ahead and to the left of the robot, m/s.
-                Only for policies that read it.
-            odometry: instead of ``human_velocity``: where the robot is in any fixed frame, x and y
-                (m) and heading (rad). The velocity is then that between two positions of the human;
-                at first sight it is 0.
-        """
-        last, self._time = self._time, time if is_number(time) else self._time
-        if not is_number(time) or not is_number(stamp):
-            given = f"{_shown(time)} and {_shown(stamp)}"
-            return self._stop("clock", f"time and stamp must be finite numbers, got {given}")
-        if last is not None and time <= last:
-            return self._stop("clock", f"time is {time} s, at the last step it was {last} s")
-        age = time - stamp
-        if age < -self.timeout:
-            return self._stop("clock", f"stamp is {-age:.2f} s later than time: two clocks")
-        if age > self.timeout + 1e-9:
-            allowed = f"at most {self.timeout:g} s are allowed"
-            return self._stop("stale", f"the inputs are {age:.2f} s old, {allowed}")
-        if ranges is None:
-            return self._stop("no scan", "the scan is None")
-        if goal is None:
-            return self._stop("no goal", "the goal is None")
+    def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
         sensing = self.policy.sensing
-        try:
-            lidar = self.lidar.sectors(
-                ranges, sensing.num_sectors, sensing.max_range, sensing.lidar_origin
-            )
-            unknown = np.isnan(lidar)
-            if lidar.ndim != 1:
-                raise ValueError(f"one scan at a time, got {len(lidar)}")
-            goal, human = _polar("goal", goal), None if human is None else _polar("human", human)
-            if human is not None and human[0] == 0:
-                raise ValueError("the human is at 0 m: for nobody pass human=None")
-            if human is not None and human_velocity is None and odometry is not None:
-                human_velocity = self._velocity_of(human, odometry, stamp)
-            command = self.policy.act(
-                preference=preference,
-                lidar=np.where(unknown, sensing.unknown_range, lidar),
-                goal=goal,
-                human=human,
-                human_velocity=None if human is None else human_velocity,
-            )
-        except ValueError as error:
-            return self._stop("refused", one_line(error).rstrip("."))
-        except Exception as error:
-            # Whatever objects are given may raise whatever they like: the robot stops.
-            return self._stop("refused", f"{type(error).__name__}: {one_line(error)}".rstrip("."))
+        lidar = self.lidar.sectors(
+            ranges, sensing.num_sectors, sensing.max_range, sensing.lidar_origin
+        )
+        if lidar.ndim != 1:
+            raise ValueError(f"one scan at a time, got {len(lidar)}")
+        unknown = np.isnan(lidar)
+        return np.where(unknown, sensing.unknown_range, lidar), not unknown.all()
+
+    def _command(self, scan: np.ndarray, inputs: dict[str, Any]) -> tuple[float, float]:
+        command = self.policy.act(lidar=scan, **inputs)
         if command.shape != (2,):
-            return self._stop("refused", f"one preference at a time, got {len(command)}")
-        if unknown.all():
-            return self._stop("no scan", "the scan has no valid beam")
-        if goal[0] <= self.goal_radius:
-            return self._stop("goal reached", f"the goal is {goal[0]:.2f} m away")
-        speed, turn_rate = map(float, command)
-        share = min(
-            1.0,
-            self.max_speed / max(abs(speed), 1e-9),
-            self.max_turn_rate / max(abs(turn_rate), 1e-9),
-        )
-        return Command(speed * share, turn_rate * share, "drive", "", time + self.timeout)
-
-    def _velocity_of(
-        self, human: tuple[float, float], odometry: Sequence[float], stamp: float
-    ) -> tuple[float, float]:
-        """Of the human since the last step, along the axes of the robot."""
-        x, y, heading = _numbers("odometry", odometry, "x, y and heading", 3)
-        distance, bearing = human
-        x += distance * math.cos(heading + bearing)
-        y += distance * math.sin(heading + bearing)
-        last, self._human = self._human, (stamp, x, y)
-        since = stamp - last[0] if last else math.inf
-        if since <= 0:  # the same inputs again
-            self._human = last
-        elif since > _FORGET_HUMAN * self.policy.period:
-            self._velocity = (0.0, 0.0)
-        else:
-            velocity = (x - last[1]) / since, (y - last[2]) / since
-            self._velocity = velocity if math.hypot(*velocity) <= _FASTEST_HUMAN else (0.0, 0.0)
-        east, north = self._velocity
-        cos, sin = math.cos(heading), math.sin(heading)
-        return cos * east + sin * north, cos * north - sin * east
-
-    def _stop(self, reason: Reason, detail: str) -> Command:
-        until = math.inf if self._time is None else self._time + self.timeout
-        return Command(0.0, 0.0, reason, detail, until)
-
-
-def _shown(value: object) -> str:
-    try:
-        return one_line(repr(value))
-    except Exception:  # whatever an object does instead of telling what it is
-        return f"a {type(value).__name__}"
-
-
-def _numbers(name: str, value: Sequence[float], what: str, count: int) -> tuple[float, ...]:
-    # A set or a mapping has no order that anybody meant.
-    unordered = isinstance(value, Set | Mapping)
-    try:
-        numbers = () if unordered else tuple(float(entry) for entry in value)
-    except (TypeError, ValueError, OverflowError):
-        numbers = ()
-    if len(numbers) != count:
-        raise ValueError(f"{name} must be {what}, got {_shown(value)}")
-    if not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{name} must be finite, got {numbers}")
-    return numbers
-
-
-def _polar(name: str, value: Sequence[float]) -> tuple[float, float]:
-    distance, bearing = _numbers(name, value, "a distance and a bearing", 2)
-    if distance < 0:
-        raise ValueError(
-            f"{name} must be finite, with a distance of at least 0, got {(distance, bearing)}"
-        )
-    return distance, bearing
+            raise ValueError(f"one preference at a time, got {len(command)}")
+        return float(command[0]), float(command[1])

@@ -9,9 +9,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from torchrl_morl.arguments import check_positive
-
-__all__ = ["as_flags", "as_numbers", "as_points", "as_tensor", "check_lengths", "check_period"]
+__all__ = ["as_flags", "as_numbers", "as_points", "as_tensor", "check_lengths"]
 
 
 def as_tensor(values: Tensor | ArrayLike) -> Tensor:
@@ -89,8 +87,3 @@ def check_lengths(**lengths: Tensor | ArrayLike) -> None:
     for name, value in lengths.items():
         if not (as_numbers(value) >= 0).all():  # NaN is not
             raise ValueError(f"{name} must be at least 0, got {reprlib.repr(value)}.")
-
-
-def check_period(dt: float) -> None:
-    """Raise ``ValueError`` unless a control period is positive and finite, seconds."""
-    check_positive("dt", dt)

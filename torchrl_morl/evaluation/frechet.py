@@ -43,10 +43,9 @@ def discrete_frechet(path_a: Tensor, mask_a: Tensor, path_b: Tensor, mask_b: Ten
         tensor(2.)
 
     """
-    path_a, path_b = as_points("path_a", path_a), as_points("path_b", path_b)
-    batch = torch.broadcast_shapes(path_a.shape[:-2], path_b.shape[:-2])
-    path_a, num_a = _compact(path_a, mask_a)
-    path_b, num_b = _compact(path_b, mask_b)
+    path_a, num_a = _compact(as_points("path_a", path_a), mask_a)
+    path_b, num_b = _compact(as_points("path_b", path_b), mask_b)
+    batch = torch.broadcast_shapes(num_a.shape, num_b.shape)
     path_a = path_a.expand(*batch, -1, -1)
     path_b = path_b.expand(*batch, -1, -1)
     num_a, num_b = num_a.expand(batch), num_b.expand(batch)
@@ -99,7 +98,7 @@ def resample_path(position: Tensor, mask: Tensor, num_points: int) -> Tensor:
     """
     if num_points < 2:
         raise ValueError(f"num_points must be at least 2, got {num_points}.")
-    position, _ = _compact(position, mask)
+    position, _ = _compact(as_points("position", position), mask)
     # One more copy of the end, so that even a single point makes a segment.
     position = torch.cat([position, position[..., -1:, :]], -2)
     step = torch.linalg.vector_norm(position.diff(dim=-2), dim=-1)
@@ -120,7 +119,7 @@ def _compact(position: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
 
     Returns the points ``[*B, T, 2]`` and their number ``[*B]``.
     """
-    position, mask = as_points("position", position), as_flags(mask)
+    mask = as_flags(mask)
     count = mask.sum(-1)
     order = mask.long().argsort(dim=-1, descending=True, stable=True)
     slot = torch.arange(mask.shape[-1], device=mask.device).expand(mask.shape)

@@ -12,7 +12,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .arrays import as_flags, as_numbers, as_points, check_period
+from torchrl_morl.arguments import check_positive
+
+from .arrays import as_flags, as_numbers, as_points
 
 __all__ = ["path_length", "spl", "stl", "time_to_goal"]
 
@@ -57,7 +59,7 @@ def time_to_goal(success: Tensor, mask: Tensor, dt: float) -> Tensor:
         >>> time_to_goal(success, mask, dt=0.5)
         tensor([1., nan])
     """
-    check_period(dt)
+    check_positive("dt", dt)
     success, mask = as_flags(success), as_flags(mask)
     time = (mask.sum(-1) - 1) * dt
     return time.masked_fill(~(success & mask.any(-1)), torch.nan)
@@ -120,7 +122,7 @@ def stl(success: Tensor, mask: Tensor, dt: float, reference: Tensor) -> Tensor:
         >>> stl(torch.tensor([True, False]), mask, dt=0.5, reference=torch.tensor([4.0, 4.0]))
         tensor([0.8000, 0.0000])
     """
-    check_period(dt)
+    check_positive("dt", dt)
     mask = as_flags(mask)
     time = (mask.sum(-1) - 1) * dt
     return _weighted(success, time.masked_fill(~mask.any(-1), torch.nan), reference, "reference")

@@ -9,9 +9,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchrl_morl.arguments import check_positive
 from torchrl_morl.geometry import wrap_angle
 
-from .arrays import as_flags, as_numbers, as_points, check_lengths, check_period
+from .arrays import as_flags, as_numbers, as_points, check_lengths
 from .metrics import path_length
 
 __all__ = ["cumulative_heading_change", "mean_jerk", "path_irregularity", "stalled_time"]
@@ -38,7 +39,7 @@ def stalled_time(position: Tensor, mask: Tensor, dt: float, threshold: float = 0
         >>> stalled_time(position, torch.ones(4).bool(), dt=0.2)
         tensor(0.4000)
     """
-    check_period(dt)
+    check_positive("dt", dt)
     check_lengths(threshold=threshold)
     position = as_points("position", position)
     speed = position.diff(dim=-2).norm(dim=-1) / dt
@@ -69,7 +70,7 @@ def mean_jerk(position: Tensor, mask: Tensor, dt: float) -> Tensor:
         >>> mean_jerk(position, torch.ones(6).bool(), dt=1.0)
         tensor(6.)
     """
-    check_period(dt)
+    check_positive("dt", dt)
     position, mask = as_points("position", position), as_flags(mask)
     jerk = position.diff(n=3, dim=-2).norm(dim=-1) / dt**3
     counts = mask[..., 3:] & mask[..., 2:-1] & mask[..., 1:-2] & mask[..., :-3]

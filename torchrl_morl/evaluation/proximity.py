@@ -9,9 +9,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchrl_morl.arguments import check_positive
 from torchrl_morl.geometry import point_box_distance
 
-from .arrays import as_flags, as_points, check_lengths, check_period
+from .arrays import as_flags, as_points, check_lengths
 
 __all__ = [
     "min_clearance",
@@ -178,7 +179,7 @@ def min_time_to_collision(
         >>> min_time_to_collision(position, human, torch.ones(4).bool(), 0.5, 0.2, 0.3)
         tensor(1.5000)
     """
-    check_period(dt)
+    check_positive("dt", dt)
     check_lengths(radius=radius, human_radius=human_radius)
     position, human = as_points("position", position), as_points("human", human)
     mask = as_flags(mask)

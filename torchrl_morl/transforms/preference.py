@@ -112,8 +112,9 @@ class PreferenceSampler(_RandomPreferences):
             reach transforms in TorchRL 0.14.
 
     Raises:
-        ValueError: if the distribution is unknown or there is less than one segment; at a reset or a step,
-            if a given preference is invalid; at reset, if the fixed preferences do not fit the batch.
+        ValueError: if the distribution is unknown, there is less than one segment, or slabs without segments;
+            at a reset or a step, if a given preference is invalid; at reset, if the fixed preferences do not
+            fit the batch.
 
     Example:
         >>> from torchrl.envs import TransformedEnv
@@ -148,17 +149,14 @@ class PreferenceSampler(_RandomPreferences):
         if num_segments is not None:
             check_count("num_segments", num_segments)
             self.segments = PreferenceSegments(preference_space, num_segments, slabs)
+        elif slabs:
+            raise ValueError("slabs cut the segments of num_segments=, which is None.")
         self.preference_key = unravel_key(preference_key)
         self.reset_key = None if reset_key is None else unravel_key(reset_key)
         self.register_buffer("preferences", None)
-        # In a list of its own: to set an attribute of a module takes longer than the check.
-        self._valid: list[tuple[Tensor, int] | None] = [None, None]
-        """Tensors that were valid, with their versions then: handed out last, and last stepped with."""
-
-    def clone(self) -> Transform:
-        clone = super().clone()
-        clone._valid = [None, None]
-        return clone
+        # Tensors that were valid, with their versions then: handed out last, and last stepped with.
+        self._handed_out: tuple[Tensor, int] | None = None
+        self._stepped_with: tuple[Tensor, int] | None = None
 
     @classmethod
     def fixed(
@@ -230,6 +228,7 @@ class PreferenceSampler(_RandomPreferences):
             settings["seed"] = self._seed
             if self.segments is not None:
                 settings["num_segments"] = self.segments.num_segments
+                settings["slabs"] = self.segments.slabs
         return describe(self, **settings, preference_key=self.preference_key)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -237,14 +236,14 @@ class PreferenceSampler(_RandomPreferences):
         preference = tensordict.get(self.preference_key, None)
         if preference is None or torch.compiler.is_compiling():
             return tensordict
-        handed_out, stepped_with = self._valid
-        if _is(preference, stepped_with):
+        if _is(preference, self._stepped_with):
             return tensordict
-        if not _is(preference, handed_out):
+        if not _is(preference, self._handed_out):
             if not is_in_environment(self):
                 return tensordict
             self.preference_space.validate(preference)
-        self._valid[1] = _now(preference)
+        # Past Module.__setattr__, which takes longer than the check.
+        object.__setattr__(self, "_stepped_with", _now(preference))
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -257,7 +256,7 @@ class PreferenceSampler(_RandomPreferences):
         """Set a valid preference, and remember that it is."""
         tensordict.set(self.preference_key, preference)
         if not torch.compiler.is_compiling():
-            self._valid[0] = _now(preference)
+            object.__setattr__(self, "_handed_out", _now(preference))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

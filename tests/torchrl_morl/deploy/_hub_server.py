@@ -46,10 +46,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.server.asked.append(f"POST {self.path}")
         if self.path == "/api/repos/create":
             given = json.loads(body)
-            repo = given["name"] if "organization" not in given else ""
-            repo = (
-                f"{given.get('organization') or 'me'}/{given['name']}" if "/" not in repo else repo
-            )
+            repo = f"{given['organization']}/{given['name']}"
             self.server.repos.setdefault(repo, {})
             return self.answer({"url": f"{self.server.endpoint}/{repo}", "name": repo})
         if match := re.fullmatch(r"/api/models/(.+)/preupload/main", self.path):

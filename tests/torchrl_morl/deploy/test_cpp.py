@@ -17,10 +17,12 @@ from torchrl.data import Bounded
 
 from benchmarks.cpp_library import SOURCES, CppRunner, build, compiler
 from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy, save_policy
+from torchrl_morl.deploy.networks import ACTIVATIONS
 from torchrl_morl.modules import make_actor
 from torchrl_morl.preferences import PreferenceSpace
-from torchrl_morl.testing import sensor_readings, untrained_policy
+from torchrl_morl.testing import untrained_policy
 
+from ._alike import LIMITS, check_limits, check_velocities, drive
 from ._stops import LIDAR, STOPS, step
 
 ROOT = Path(__file__).parents[3]
@@ -47,24 +49,8 @@ def runner(cpp_library) -> Iterator[CppRunner]:
 @pytest.mark.parametrize("lidar", LIDARS.values(), ids=LIDARS)
 @pytest.mark.parametrize("name", ["navigation", "moving_humans", "randomised_hsr"])
 def test_its_commands_are_those_of_the_runner(cpp_library, name, lidar):
-    policy = load_policy(POLICIES / name)
-    runners = (
-        PolicyRunner(policy, lidar=lidar),
-        CppRunner(cpp_library, POLICIES / name, lidar=lidar),
-    )
-    readings = sensor_readings(policy, lidar, 200, seed=5)
-    driven = 0
-    for index in range(200):
-        row = {key: value[index] for key, value in readings.items()}
-        ranges = row.pop("ranges")
-        if index % 5 == 0:
-            row["human"] = None
-        expected, found = (r.step(ranges, **row, stamp=index, time=index) for r in runners)
-        assert (found.reason, found.valid_until) == (expected.reason, expected.valid_until)
-        assert found.speed == pytest.approx(expected.speed, abs=1e-5)
-        assert found.turn_rate == pytest.approx(expected.turn_rate, abs=1e-4)
-        driven += found.reason == "drive"
-    assert driven > 150
+    ours = PolicyRunner(load_policy(POLICIES / name), lidar=lidar)
+    drive(ours, CppRunner(cpp_library, POLICIES / name, lidar=lidar), lidar, 200)
 
 
 def can_be_given_in_c(name: str, value: object) -> bool:
@@ -105,46 +91,19 @@ def test_a_frozen_clock_stops_the_robot(runner):
 
 def test_velocities_come_from_odometry(cpp_library):
     folder = POLICIES / "moving_humans"
-    runners = (
-        PolicyRunner(load_policy(folder), lidar=LIDAR),
-        CppRunner(cpp_library, folder, lidar=LIDAR),
-    )
-    for time, stamp, human in [
-        (10.0, 10.0, (2.0, 0.5)),
-        (10.2, 10.2, (1.9, 0.6)),
-        (10.3, 10.2, (1.9, 0.6)),
-        (12.5, 12.5, (1.5, 0.9)),
-        (12.7, 12.7, (4.0, 0.9)),
-        (12.9, 12.9, (4.0, 0.95)),
-    ]:
-        given = {"stamp": stamp, "human": human, "odometry": (0.1 * time, 0.2, 0.3 * time)}
-        expected, found = (step(runner, time, **given) for runner in runners)
-        assert found.reason == expected.reason == "drive"
-        assert found.speed == pytest.approx(expected.speed, abs=1e-5)
-        assert found.turn_rate == pytest.approx(expected.turn_rate, abs=1e-4)
-    missing = step(CppRunner(cpp_library, folder, lidar=LIDAR))
-    assert missing.reason == "refused" and "reads the human's velocity" in missing.detail
-    bad = step(runners[1], 20.0, odometry=(math.nan, 0.0, 0.0))
+    other = CppRunner(cpp_library, folder, lidar=LIDAR)
+    check_velocities(PolicyRunner(load_policy(folder), lidar=LIDAR), other)
+    bad = step(other, 30.0, odometry=(math.nan, 0.0, 0.0))
     assert bad.reason == "refused" and "odometry must be finite" in bad.detail
 
 
-@pytest.mark.parametrize("limits", [{"max_speed": 0.2}, {"max_turn_rate": 0.1}, {"timeout": 1.0}])
+@pytest.mark.parametrize("limits", LIMITS)
 def test_limits_of_ones_own(cpp_library, limits):
-    runners = (
-        PolicyRunner(load_policy(NAVIGATION), lidar=LIDAR, **limits),
-        CppRunner(cpp_library, NAVIGATION, lidar=LIDAR, **limits),
-    )
-    for time, given in ((10.0, {"goal": (3.0, 1.0)}), (10.8, {"stamp": 10.0})):
-        expected, found = (step(runner, time, **given) for runner in runners)
-        assert (found.reason, found.valid_until) == (expected.reason, expected.valid_until)
-        assert found.speed == pytest.approx(expected.speed, abs=1e-5)
-        assert found.turn_rate == pytest.approx(expected.turn_rate, abs=1e-4)
+    ours = PolicyRunner(load_policy(NAVIGATION), lidar=LIDAR, **limits)
+    check_limits(ours, CppRunner(cpp_library, NAVIGATION, lidar=LIDAR, **limits))
 
 
-ACTIVATIONS = ["ELU", "GELU", "LeakyReLU", "ReLU", "SELU", "SiLU", "Sigmoid", "Softplus", "Tanh"]
-
-
-@pytest.mark.parametrize("activation", ACTIVATIONS)
+@pytest.mark.parametrize("activation", ACTIVATIONS.values(), ids=ACTIVATIONS)
 def test_every_activation_of_a_file(cpp_library, tmp_path, activation):
     torch.manual_seed(0)
     space, sensing = PreferenceSpace(("speed", "comfort")), untrained_policy().sensing
@@ -152,25 +111,15 @@ def test_every_activation_of_a_file(cpp_library, tmp_path, activation):
         Bounded(-1.0, 1.0, shape=(2,)),
         in_features=sensing.observation_size + 2,
         num_cells=(12, 9),
-        activation_class=getattr(torch.nn, activation),
+        activation_class=activation,
         last_layer_gain=5.0,
     )
     given = {"preference_space": space, "sensing": sensing, "robot": "mine", "card": {}}
     folder = save_policy(tmp_path / "policy", actor, **given)
-    runners = (
-        PolicyRunner(load_policy(folder), lidar=LIDAR),
-        CppRunner(cpp_library, folder, lidar=LIDAR),
-    )
-    commands = []
-    readings = sensor_readings(load_policy(folder), LIDAR, 20)
-    for index in range(20):
-        row = {key: value[index] for key, value in readings.items()}
-        ranges = row.pop("ranges")
-        expected, found = (r.step(ranges, **row, stamp=index, time=index) for r in runners)
-        assert found.speed == pytest.approx(expected.speed, abs=1e-5)
-        assert found.turn_rate == pytest.approx(expected.turn_rate, abs=1e-5)
-        commands.append(found.turn_rate)
-    assert np.ptp(commands) > 0.05
+    ours = PolicyRunner(load_policy(folder), lidar=LIDAR)
+    other = CppRunner(cpp_library, folder, lidar=LIDAR)
+    commands = drive(ours, other, LIDAR, 20, turn_rate=1e-5)
+    assert np.ptp([command.turn_rate for command in commands]) > 0.05
 
 
 # --- files ----------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import builtins
+import sys
 from pathlib import Path
 
 import pytest
@@ -149,14 +149,7 @@ def test_a_server_that_is_not_there_is_one_line():
 
 
 def test_a_missing_extra_is_named(monkeypatch):
-    original = builtins.__import__
-
-    def without(name, *rest):
-        if name.startswith("huggingface_hub"):
-            raise ModuleNotFoundError("no", name=name)
-        return original(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
     for call in (lambda: from_hub("me/mine"), lambda: push_to_hub(NAVIGATION, "me/mine")):
         with pytest.raises(
             ImportError, match=r"huggingface_hub: pip install 'torchrl-morl\[hub\]'"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import builtins
 import copy
 import dataclasses
 import hashlib
 import json
+import sys
 import types
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.parity import act
 from torchrl_morl.deploy import (
     LidarGeometry,
     Sensing,
@@ -40,22 +41,13 @@ def run(file: Path, readings: dict[str, np.ndarray]) -> np.ndarray:
     return command
 
 
-def commands(policy, lidar, readings: dict[str, np.ndarray]) -> np.ndarray:
-    """Of the library: sectors by NumPy, then ``policy.act``."""
-    given, sensing = dict(readings), policy.sensing
-    sectors = lidar.sectors(
-        given.pop("ranges"), sensing.num_sectors, sensing.max_range, sensing.lidar_origin
-    )
-    return policy.act(lidar=np.where(np.isnan(sectors), sensing.unknown_range, sectors), **given)
-
-
 @pytest.mark.parametrize("batch", [1, 7, 500])
 def test_commands_are_those_of_the_policy_in_a_batch_of_any_size(exported, batch):
     policy = load_policy(POLICIES / "navigation")
     readings = sensor_readings(policy, LIDAR, batch, seed=batch)
     found = run(exported, readings)
     assert found.shape == (batch, 2)
-    difference = abs(found - commands(policy, LIDAR, readings)).max(0)
+    difference = abs(found - act(policy, LIDAR)(readings)).max(0)
     assert difference[0] < 1e-5 and difference[1] < 1e-4
     assert batch == 1 or np.ptp(found, axis=0).min() > 0.1  # the inputs do command different things
 
@@ -64,7 +56,7 @@ def test_a_policy_that_reads_velocities(exported_walking):
     policy = load_policy(POLICIES / "moving_humans")
     readings = sensor_readings(policy, LIDAR, 100)
     found = run(exported_walking, readings)
-    np.testing.assert_allclose(found, commands(policy, LIDAR, readings), atol=1e-4)
+    np.testing.assert_allclose(found, act(policy, LIDAR)(readings), atol=1e-4)
     readings["human_velocity"] = -readings["human_velocity"]
     assert abs(run(exported_walking, readings) - found).max() > 1e-2
 
@@ -74,7 +66,7 @@ def test_a_lidar_off_the_centre_and_no_human(tmp_path):
     file = export_onnx(policy, tmp_path / "mine.onnx", lidar=OFF_CENTRE)
     readings = sensor_readings(policy, OFF_CENTRE, 200)
     assert readings.keys() == {"ranges", "goal", "preference"}
-    expected = commands(policy, OFF_CENTRE, readings)
+    expected = act(policy, OFF_CENTRE)(readings)
     np.testing.assert_allclose(run(file, readings), expected, atol=1e-5)
 
 
@@ -172,14 +164,7 @@ def test_what_is_refused(tmp_path, policy, file, lidar, error, message):
 
 
 def test_a_missing_extra_is_named(tmp_path, monkeypatch):
-    original = builtins.__import__
-
-    def without(name, *rest):
-        if name == "onnxscript":
-            raise ModuleNotFoundError("no", name=name)
-        return original(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "onnxscript", None)
     expected = r"export_onnx needs onnxscript: pip install 'torchrl-morl\[export\]'"
     with pytest.raises(ImportError, match=expected):
         export_onnx(untrained_policy(), tmp_path / "a.onnx", lidar=LIDAR)

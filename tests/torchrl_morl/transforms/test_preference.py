@@ -313,6 +313,8 @@ class TestSegmentsAndFixed:
             PreferenceSampler(SPACE, distribution="uniform")
         with pytest.raises(ValueError, match="num_segments"):
             PreferenceSampler(SPACE, num_segments=0)
+        with pytest.raises(ValueError, match="slabs cut the segments of num_segments="):
+            PreferenceSampler(SPACE, slabs=True)
 
 
 class TestRandomness:
