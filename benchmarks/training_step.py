@@ -28,7 +28,7 @@ from torchrl.objectives import SoftUpdate
 
 from envs import NavigationEnv
 from recipes.arguments import Parser, positive_int
-from recipes.training import corner_evaluation, gradients, logs, optimizers
+from recipes.training import corner_evaluation, logs, vector_td3
 from recipes.training.checkpoint import Checkpoints
 
 from .learner import CLOCKS, machine
@@ -126,7 +126,7 @@ def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
         with watch("collect"):
             return plain_rollout(collector)
 
-    make_gradients, make_optimizers = gradients.make_gradients, optimizers.make_optimizers
+    make_gradients, make_optimizers = vector_td3.make_gradients, vector_td3.make_optimizers
     plain_rollout, plain_step = Collector.rollout, torch.optim.Adam.step
     plain = (
         (NavigationEnv, "_step", _inside),
@@ -146,8 +146,8 @@ def watched(watch: Watch, *, compiled: bool) -> Iterator[None]:
         for owner, attribute, name in plain:
             timed = watch.around(getattr(owner, attribute), name)
             stack.enter_context(mock.patch.object(owner, attribute, timed))
-        stack.enter_context(mock.patch.object(gradients, "make_gradients", watched_gradients))
-        stack.enter_context(mock.patch.object(optimizers, "make_optimizers", watched_optimizers))
+        stack.enter_context(mock.patch.object(vector_td3, "make_gradients", watched_gradients))
+        stack.enter_context(mock.patch.object(vector_td3, "make_optimizers", watched_optimizers))
         stack.enter_context(mock.patch.object(torch.optim.Adam, "step", step))
         stack.enter_context(mock.patch.object(Collector, "rollout", rollout))
         yield
