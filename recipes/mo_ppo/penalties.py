@@ -1,8 +1,9 @@
-"""What the actor of MO-PPO pays for beside its returns: leaving a style, jerks, standing still."""
+"""What the actor of MO-PPO pays for beside its returns: leaving a style, jerks, standing still, a side."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import torch
 from omegaconf import DictConfig
@@ -11,8 +12,10 @@ from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 
 from envs import HUMAN_RADIUS
+from envs.policy_env import observed
 from torchrl_morl.deploy import Sensing
-from torchrl_morl.deploy.features import NUM_SECTORS
+from torchrl_morl.deploy.features import NUM_SECTORS, observation_parts
+from torchrl_morl.deploy.mirror import mirror_action, mirror_observation
 from torchrl_morl.geometry import wrap_angle
 from torchrl_morl.transforms import LogRange
 
@@ -27,8 +30,9 @@ def compute(
     *,
     sigma: Tensor,
     demo: int | None,
+    anchored: bool,
 ) -> dict[str, Tensor]:
-    """What an actor pays for beside its returns: smoothness, standing still, and the anchor.
+    """What an actor pays for beside its returns: smoothness, standing still, a side, and the anchor.
 
     Args:
         cfg: the configuration.
@@ -38,6 +42,7 @@ def compute(
     Keyword Args:
         sigma: standard deviations of the policy.
         demo: the place of the demonstrated style in the preference; ``None`` without demonstrations.
+        anchored: whether the batch says what the policy did at the start.
 
     Returns:
         Of those that are asked for, before their coefficients.
@@ -48,7 +53,10 @@ def compute(
         found["smoothness"] = smoothness(batch, action, actor)
     if cfg.loss.standing_coeff:
         found["standing"] = standing(action)
-    if demo is not None:
+    if cfg.loss.mirror_coeff:
+        parts = observation_parts(**observed(cfg.env))
+        found["mirror"] = mirror(batch, action, actor, parts=parts, demo=demo)
+    if anchored:
         # The demonstrated style is a learned reward: see config.yaml.
         found["anchor"] = anchor(
             batch,
@@ -183,6 +191,38 @@ def smoothness(batch: TensorDictBase, action: Tensor, actor: TensorDictSequentia
     change = actor(later)["action"] - action
     continues = ~batch["next", "done"].squeeze(-1)
     return (change[..., 1].square() * continues).mean()
+
+
+def mirror(
+    batch: TensorDictBase,
+    action: Tensor,
+    actor: TensorDictSequential,
+    *,
+    parts: Mapping[str, Sequence[int]],
+    demo: int | None,
+) -> Tensor:
+    """How much a policy does otherwise in the mirror image of what it sees, mean square.
+
+    The loss of Yu et al. (https://arxiv.org/abs/1801.08093), where nobody prefers a side: distances
+    and times are the same in the mirror image, and so is what is best. Demonstrations are not; the
+    weight of the loss is the cube of what the preference leaves to the other objectives. Without it
+    all preferences pass people on the demonstrated side, which is as often the longer one.
+
+    Args:
+        batch: of transitions.
+        action: of the actor there, in [-1, 1], speed and turn rate, ``[*B, 2]``.
+        actor: writes the action in the mirror image.
+
+    Keyword Args:
+        parts: of the observation.
+        demo: the place of the demonstrated style in the preference; ``None`` without demonstrations.
+    """
+    image = batch.select(*actor.in_keys)
+    image["observation"] = mirror_observation(image["observation"], parts)
+    difference = (mirror_action(actor(image)["action"]) - action).square().sum(-1)
+    if demo is not None:
+        difference = (1 - batch["preference"][..., demo]) ** 3 * difference
+    return difference.mean()
 
 
 def standing(action: Tensor) -> Tensor:

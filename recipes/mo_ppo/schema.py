@@ -124,6 +124,9 @@ class Loss(ppo_schema.Loss):
     smoothness_coeff: NotNegative = Field(
         description="Cost of the squared change of the turn rate from a step to the next."
     )
+    mirror_coeff: NotNegative = Field(
+        description="Cost of doing otherwise in the mirror image, where the style is not preferred."
+    )
     standing_coeff: NotNegative = Field(description="Cost of neither driving nor turning.")
 
     @model_validator(mode="after")
