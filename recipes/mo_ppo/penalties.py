@@ -22,6 +22,9 @@ from torchrl_morl.transforms import LogRange
 _MARGIN = 0.1
 """Radians."""
 
+_STANDING = 0.2
+"""Speed below which a human stands, as observed; people are demonstrated standing."""
+
 
 def compute(
     cfg: DictConfig,
@@ -48,13 +51,13 @@ def compute(
         Of those that are asked for, before their coefficients.
     """
     action = actor(batch.select(*actor.in_keys))["action"]
+    parts = observation_parts(**observed(cfg.env))
     found = {}
     if cfg.loss.smoothness_coeff:
         found["smoothness"] = smoothness(batch, action, actor)
     if cfg.loss.standing_coeff:
         found["standing"] = standing(action)
     if cfg.loss.mirror_coeff:
-        parts = observation_parts(**observed(cfg.env))
         found["mirror"] = mirror(batch, action, actor, parts=parts, demo=demo)
     if anchored:
         # The demonstrated style is a learned reward: see config.yaml.
@@ -65,6 +68,7 @@ def compute(
             objective=demo,
             radius=cfg.loss.anchor_radius,
             clearance=cfg.loss.anchor_clearance,
+            velocity=parts.get("human_velocity"),
         )
     return found
 
@@ -118,6 +122,7 @@ def anchor(
     objective: int,
     radius: float,
     clearance: float = 0.0,
+    velocity: Sequence[int] | None = None,
 ) -> Tensor:
     """How far a policy has gone from the one it started as, where an objective matters.
 
@@ -129,8 +134,8 @@ def anchor(
     A mean over the transitions, weighed by the cube of the weight of the objective: it holds a corner
     of the preferences and leaves the middle free. Far from the human it holds nothing: styles differ
     in how a person is passed, and the rest of the way only has to be driven well. Nor does it hold
-    what ends in a failure: the policy at the start may have led there. Nor where a box is near: what
-    was demonstrated may lead into it.
+    what ends in a failure: the policy at the start may have led there. Nor where a box is near, or the
+    human walks: what was demonstrated may lead into them.
 
     Args:
         batch: of transitions, with the ``start_action`` of the policy at the start, averaged over time or
@@ -142,11 +147,15 @@ def anchor(
         objective: the place of the weight in the preference.
         radius: around the human, metres.
         clearance: from the nearest box, metres; 0 holds beside boxes, too.
+        velocity: where the observation has the human's; ``None`` holds whether they stand or walk.
     """
     divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
     held = (batch["human"][..., 0] < radius) & ~batch["fails"]
     if clearance:
         held = held & (nearest_box(batch["observation"], batch["human"]) >= clearance)
+    if velocity is not None:
+        speed = batch["observation"][..., velocity[0] : velocity[-1] + 1].norm(dim=-1)
+        held = held & (speed < _STANDING)
     weight = batch["preference"][..., objective] ** 3 * held
     return (weight * divergence.log1p()).mean()
 

@@ -85,6 +85,28 @@ def test_anchor_lets_go_beside_a_box():
         torch.testing.assert_close(cost(clearance), torch.tensor(math.log(3) * held / 2))
 
 
+def test_anchor_lets_go_of_people_who_walk():
+    batch = TensorDict(
+        observation=torch.tensor([[0.0, 0.0, 0.0], [9.0, 0.1, 0.1], [9.0, 0.3, -0.3]]),
+        preference=torch.tensor([[1.0, 0.0]]).expand(3, 2),
+        human=torch.tensor([[3.0, 1.0]]).expand(3, 2),
+        fails=torch.zeros(3, dtype=torch.bool),
+        start_action=torch.zeros(3, 2),
+        batch_size=[3],
+    )
+    action = torch.tensor([0.0, 0.2]).expand(3, 2)
+    for velocity, held in ((None, 3), (range(1, 3), 2)):
+        cost = penalties.anchor(
+            batch,
+            action,
+            sigma=torch.tensor([0.1, 0.1]),
+            objective=0,
+            radius=9.0,
+            velocity=velocity,
+        )
+        torch.testing.assert_close(cost, torch.tensor(math.log(3) * held / 3))
+
+
 def test_what_a_clone_would_do_is_asked_at_one_preference():
     """A clone knows the style at its corner alone, whatever an episode prefers."""
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=1 + 2, num_cells=())
