@@ -42,7 +42,11 @@ from .training.run_folder import final_policy, write_atomically
 
 _RUNS = Path("runs/teach")
 _DATASET = "demonstrations.safetensors"
-_QUICK = ("collector.total_frames=3_276_800", "evaluation.interval=655_360", "evaluation.episodes=50")
+_QUICK = (
+    "collector.total_frames=3_276_800",
+    "evaluation.interval=655_360",
+    "evaluation.episodes=50",
+)
 _SET_HERE = ("env.robot", "demonstrations.dataset", "demonstrations.reward_model")
 
 
@@ -73,7 +77,9 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--episodes", type=episodes, default=100, help="fresh scenes of the evaluation"
     )
-    parser.add_argument("--full", action="store_true", help="a training of full length instead of a quick one")
+    parser.add_argument(
+        "--full", action="store_true", help="a training of full length instead of a quick one"
+    )
     parser.add_argument("--drex", nargs="*", default=[], help="overrides of recipes/drex")
     parser.add_argument("--mo-ppo", nargs="*", default=[], help="overrides of recipes/mo_ppo")
     return parser

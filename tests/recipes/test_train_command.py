@@ -53,7 +53,10 @@ def train(*arguments: object) -> int | str:
             ["--drex", "reward_model.updates=0"],
             "--drex: reward_model.updates must be at least 1, got 0.",
         ),
-        (["--with-pd-morl", "--pd-morl", "seed=1", "optim.lr=-1"], "--pd-morl: optim.lr must be positive, got -1."),
+        (
+            ["--with-pd-morl", "--pd-morl", "seed=1", "optim.lr=-1"],
+            "--pd-morl: optim.lr must be positive, got -1.",
+        ),
         (
             ["--mo-ppo", "loss.clip_epsilon=-1"],
             "--mo-ppo: loss.clip_epsilon must be in (0, 1), got -1.",
@@ -62,8 +65,14 @@ def train(*arguments: object) -> int | str:
             ["--mo-ppo", "optim.lrr=1"],
             "--mo-ppo: there is no field optim.lrr: did you mean optim.lr?",
         ),
-        (["--with-pd-morl", "--pd-morl", "preset=fast"], "--pd-morl: In 'config': Could not find 'preset/fast'"),
-        (["--with-pd-morl", "--pd-morl", "demonstrations.dataset=x.safetensors"], "there is no such file."),
+        (
+            ["--with-pd-morl", "--pd-morl", "preset=fast"],
+            "--pd-morl: In 'config': Could not find 'preset/fast'",
+        ),
+        (
+            ["--with-pd-morl", "--pd-morl", "demonstrations.dataset=x.safetensors"],
+            "there is no such file.",
+        ),
         (
             ["--with-pd-morl", "--pd-morl", "env.observe_human=false"],
             "env.observe_human must be the same for --drex and --pd-morl, got True and False.",
