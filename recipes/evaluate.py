@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--range-noise", type=number(0), default=0.0, help="lidar noise, m")
     parser.add_argument("--dropout", type=share, default=0.0, help="share of lost lidar rays")
     parser.add_argument("--velocity-noise", type=number(0), default=0.0, help="share of the range")
-    parser.add_argument("--latency", type=count(0, 1), default=0, help="control steps, 0 or 1")
+    parser.add_argument("--latency", type=count(0, 3), default=0, help="control steps, 0 to 3")
     args = parser.parse_args()
 
     torch.set_num_threads(1)

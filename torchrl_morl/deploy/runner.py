@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .lidar import LidarGeometry
-from .onnx_runner import Command, Reason, Runner
+from .onnx_runner import Command, Reason, Runner, numbers_of
 from .policy import Policy
 
 __all__ = ["Command", "PolicyRunner", "Reason", "Runner"]
@@ -45,6 +46,7 @@ class PolicyRunner(Runner):
         lidar: of the robot.
         goal_radius: distance at which the goal is reached, metres; that of the training if ``None``.
         timeout: age at which an input is too old, seconds; one period if ``None``.
+        robot: which robot it is, six numbers as of :meth:`Policy.act`, for policies that read it.
         max_speed: of the robot, m/s, if lower than the policy's.
         max_turn_rate: likewise, rad/s. Speed and turn rate are lowered together, so that the robot
             follows the same arc, more slowly.
@@ -83,6 +85,7 @@ class PolicyRunner(Runner):
         lidar: LidarGeometry,
         goal_radius: float | None = None,
         timeout: float | None = None,
+        robot: Sequence[float] | None = None,
         max_speed: float | None = None,
         max_turn_rate: float | None = None,
     ) -> None:
@@ -93,6 +96,12 @@ class PolicyRunner(Runner):
         if policy.sensing is None:
             raise ValueError("the file of this policy does not tell what it senses.")
         lidar.check(policy.sensing)
+        if policy.sensing.observe_robot != (robot is not None):
+            needs = "needs robot=" if robot is None else "does not read robot="
+            raise ValueError(f"this policy {needs}: radius, limits and lidar of the robot.")
+        self.robot = robot if robot is None else numbers_of("robot", robot, "six numbers", 6)
+        # Of such a policy, ranges are those of the lidar where it is.
+        self._origin = policy.sensing.lidar_origin if robot is None else (self.robot[5], 0.0)
         self.policy, self.lidar = policy, lidar
         nearest_goal, _ = policy.sensing.goal_range
         given = goal_radius, timeout, max_speed, max_turn_rate
@@ -101,7 +110,7 @@ class PolicyRunner(Runner):
     def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
         sensing = self.policy.sensing
         lidar = self.lidar.sectors(
-            ranges, sensing.num_sectors, sensing.max_range, sensing.lidar_origin
+            ranges, sensing.num_sectors, sensing.max_range, self._origin
         )
         if lidar.ndim != 1:
             raise ValueError(f"one scan at a time, got {len(lidar)}")
@@ -109,7 +118,7 @@ class PolicyRunner(Runner):
         return np.where(unknown, sensing.unknown_range, lidar), not unknown.all()
 
     def _command(self, scan: np.ndarray, inputs: dict[str, Any]) -> tuple[float, float]:
-        command = self.policy.act(lidar=scan, **inputs)
+        command = self.policy.act(lidar=scan, robot=self.robot, **inputs)
         if command.shape != (2,):
             raise ValueError(f"one preference at a time, got {len(command)}")
         return float(command[0]), float(command[1])

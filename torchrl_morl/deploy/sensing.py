@@ -10,6 +10,12 @@ from .entries import Entries
 
 __all__ = ["Limits", "Sensing"]
 
+NUM_ROBOT = 6
+"""Numbers of a robot that a policy may read."""
+
+# Files from before there were these lack them.
+_LATER = ("observe_robot", "observe_nobody")
+
 
 @dataclasses.dataclass(frozen=True)
 class Sensing:
@@ -32,6 +38,9 @@ class Sensing:
         human_range: the same for the human.
         nobody: distance and bearing of the human that stands for nobody.
         unknown_range: what a sector of which nothing is known reads.
+        observe_robot: whether it reads which robot it drives: see
+            :func:`torchrl_morl.deploy.features.observation`.
+        observe_nobody: whether it reads a mark for nobody.
         history: observations that the policy reads, the present one included.
 
     Raises:
@@ -58,6 +67,8 @@ class Sensing:
     nobody: tuple[float, float] = (4.0, math.pi)
     unknown_range: float = 4.0
     history: int = 1
+    observe_robot: bool = False
+    observe_nobody: bool = False
 
     def __post_init__(self) -> None:
         for name in ("max_range", "goal_scale", "human_scale", "unknown_range"):
@@ -78,14 +89,16 @@ class Sensing:
             raise self._refused("num_sectors", "between 1 and 10000")
         if self.observe_human_velocity and not self.observe_human:
             raise self._refused("observe_human_velocity", "false where observe_human is")
+        if self.observe_nobody and not self.observe_human:
+            raise self._refused("observe_nobody", "false where observe_human is")
         if self.history != 1:
             raise self._refused("history", "1: this version has no memory")
 
     @property
     def observation_size(self) -> int:
         """Entries of the network's observation."""
-        human = 3 * self.observe_human + 2 * self.observe_human_velocity
-        return self.num_sectors + 3 + human
+        human = 3 * self.observe_human + 2 * self.observe_human_velocity + self.observe_nobody
+        return self.num_sectors + 3 + human + NUM_ROBOT * self.observe_robot
 
     def check(self, available: Sensing, source: str = "this environment") -> None:
         """Refuse what shows a policy something else than it was trained with.
@@ -100,6 +113,8 @@ class Sensing:
         for name, reads in (
             ("observe_human", "where the human is"),
             ("observe_human_velocity", "the human's velocity"),
+            ("observe_nobody", "a mark for nobody"),
+            ("observe_robot", "which robot it drives"),
         ):
             mine, theirs = getattr(self, name), getattr(available, name)
             if mine != theirs:
@@ -129,6 +144,8 @@ class Sensing:
         readers = {bool: entries.flag, float: entries.number, int: entries.integer}
         values: dict[str, Any] = {}
         for field in dataclasses.fields(cls):
+            if field.name in _LATER and field.name not in entries:
+                continue
             if isinstance(field.default, tuple):
                 values[field.name] = entries.numbers(field.name, 2)
             else:
