@@ -11,7 +11,7 @@ import viser
 
 from envs.drive import yaw_quaternion
 from envs.mjcf import BOX_HEIGHT, HUMAN_HEIGHT, LIDAR_HEIGHT
-from envs.scenes import HUMAN_RADIUS, SCENES
+from envs import HUMAN_RADIUS, SCENES
 from recipes.objectives import known, preference_colors
 
 from .simulation import LiveSimulation, Motion

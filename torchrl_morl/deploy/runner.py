@@ -109,9 +109,7 @@ class PolicyRunner(Runner):
 
     def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
         sensing = self.policy.sensing
-        lidar = self.lidar.sectors(
-            ranges, sensing.num_sectors, sensing.max_range, self._origin
-        )
+        lidar = self.lidar.sectors(ranges, sensing.num_sectors, sensing.max_range, self._origin)
         if lidar.ndim != 1:
             raise ValueError(f"one scan at a time, got {len(lidar)}")
         unknown = np.isnan(lidar)
