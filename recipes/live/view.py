@@ -9,9 +9,9 @@ from typing import Any, get_args
 import numpy as np
 import viser
 
+from envs import HUMAN_RADIUS, SCENES
 from envs.drive import yaw_quaternion
 from envs.mjcf import BOX_HEIGHT, HUMAN_HEIGHT, LIDAR_HEIGHT
-from envs import HUMAN_RADIUS, SCENES
 from recipes.objectives import known, preference_colors
 
 from .simulation import LiveSimulation, Motion

@@ -78,6 +78,11 @@ def _policy(folder: Path) -> tuple[dict[str, Any], Robot]:
     setting = trained_in(policy.card)
     if policy.sensing is None:
         raise ValueError(f"{folder}: its file does not tell what it senses: save it again.")
+    for name in ("observe_robot", "observe_nobody"):
+        if getattr(policy.sensing, name):
+            raise ValueError(
+                f"{folder}: its sensing.{name} must be false: a page has no such input."
+            )
     activation = describe_mlp(policy.actor[0].module)["activation"]
     dtype = str(next(policy.actor.parameters()).dtype).removeprefix("torch.")
     for name, got, runs in (

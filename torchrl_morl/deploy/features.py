@@ -262,6 +262,11 @@ class RowFeatures:
         # In the row, where bearings stand once.
         self._robot = sources[-1] + 1 - num_tunable - len(robot)
         self._velocity = self.num_sectors + 2 * self.num_positions
+        self._human = self.num_sectors + 2
+        self._mark = self._velocity + 2 * sensing.observe_human_velocity
+        distance, bearing = sensing.nobody
+        # Distances beyond those of the training read as the furthest of them.
+        self._is_nobody = IsNobody(min(distance, sensing.human_range[1]), bearing)
         self._sources = torch.tensor(sources, device=like.device)
         self._scales, self._three = like.new_tensor(scales), like.new_tensor(3.0)
 
@@ -285,6 +290,10 @@ class RowFeatures:
         sine.sin_()
         cosine.cos_()
         return features
+
+    def mark_nobody(self, row: Tensor) -> None:
+        """Write the mark of a policy that reads it into a row, in place, from the human in it."""
+        row[..., self._mark : self._mark + 1] = self._is_nobody(row.narrow(-1, self._human, 2))
 
     def robot_of(self, row: Tensor) -> Tensor:
         """The robot in a row of a policy that reads it, ``[*B, 6]``."""

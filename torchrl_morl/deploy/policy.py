@@ -21,7 +21,7 @@ from torchrl_morl.transforms import check_finite
 from .entries import one_line
 from .features import RowFeatures
 from .onnx_runner import TOLERANCE
-from .sensing import NUM_ROBOT, Limits, Sensing
+from .sensing import NUM_ROBOT, SMALLEST, Limits, Sensing
 
 __all__ = ["Policy"]
 
@@ -117,18 +117,15 @@ class Policy:
                 )
             given["human_velocity"] = (0.0, 0.0) if human_velocity is None else human_velocity
         if sensing.observe_nobody:
-            given["nobody"] = (float(human is None),)
+            given["nobody"] = (0.0,)  # the place of the mark, which is set below
         if sensing.observe_robot:
-            if robot is None:
-                raise ValueError(
-                    "this policy reads which robot it drives: give robot=, radius, top speed, top turn "
-                    "rate, and the lidar's view, range and distance ahead of the centre."
-                )
-            given["robot"] = robot
+            given["robot"] = sensing.robot(robot) if robot is None else robot
         given["preference"] = preference
         tensors = any([isinstance(value, Tensor) for value in given.values()])
         with torch.inference_mode():
             row = self._checked(given, tensors)
+            if sensing.observe_nobody:
+                self._features.mark_nobody(row)
             action = self._features(row)
             if torch.is_autocast_enabled(action.device.type):
                 action = self.actor[0].module(action)
@@ -243,7 +240,7 @@ class Policy:
         self.preference_space.validate(inputs["preference"], tol=TOLERANCE)
         for name, value in inputs.items():
             lengths = value if name == "lidar" else value[..., :1]
-            if name == "robot" and value[..., :-1].min() < 1e-3:
+            if name == "robot" and value[..., :-1].min() < SMALLEST:
                 raise ValueError(
                     f"robot must have a radius, limits, view and range above 0, got {value.tolist()}."
                 )
@@ -266,7 +263,7 @@ class Policy:
             rows += [(0.0, 1.0, 1.0)]
         if sensing.observe_robot:
             # Radius, speed, turn rate, view and range are above zero.
-            rows += [(1e-3, huge, huge)] * (NUM_ROBOT - 1) + [(-huge, huge, huge)]
+            rows += [(SMALLEST, huge, huge)] * (NUM_ROBOT - 1) + [(-huge, huge, huge)]
         rows += [(0.0, huge, huge)] * self.preference_space.num_tunable
         rows += [(1 - TOLERANCE, 1 + TOLERANCE, 1 + TOLERANCE)]  # the sum of the preference
         low, high, trained = self._like.new_tensor(rows).T.contiguous()

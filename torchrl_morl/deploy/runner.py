@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .lidar import LidarGeometry
-from .onnx_runner import Command, Reason, Runner, numbers_of
+from .onnx_runner import Command, Reason, Runner
 from .policy import Policy
 
 __all__ = ["Command", "PolicyRunner", "Reason", "Runner"]
@@ -96,16 +96,19 @@ class PolicyRunner(Runner):
         if policy.sensing is None:
             raise ValueError("the file of this policy does not tell what it senses.")
         lidar.check(policy.sensing)
-        if policy.sensing.observe_robot != (robot is not None):
-            needs = "needs robot=" if robot is None else "does not read robot="
-            raise ValueError(f"this policy {needs}: radius, limits and lidar of the robot.")
-        self.robot = robot if robot is None else numbers_of("robot", robot, "six numbers", 6)
-        # Of such a policy, ranges are those of the lidar where it is.
-        self._origin = policy.sensing.lidar_origin if robot is None else (self.robot[5], 0.0)
+        self.robot = policy.sensing.robot(robot)
+        self._origin, limits = policy.sensing.lidar_origin, policy.limits.to_json()
+        if self.robot is not None:
+            # Of such a policy, ranges are those of the lidar where it is, and limits those of the robot.
+            _, speed, turn_rate, *_, ahead = self.robot
+            self._origin, limits = (
+                (ahead, 0.0),
+                {"speed": (0.0, speed), "turn_rate": (-turn_rate, turn_rate)},
+            )
         self.policy, self.lidar = policy, lidar
         nearest_goal, _ = policy.sensing.goal_range
         given = goal_radius, timeout, max_speed, max_turn_rate
-        super().__init__(policy.period, nearest_goal, policy.limits.to_json(), given)
+        super().__init__(policy.period, nearest_goal, limits, given)
 
     def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
         sensing = self.policy.sensing

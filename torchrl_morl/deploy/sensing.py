@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from .entries import Entries
+from .onnx_runner import numbers_of
 
 __all__ = ["Limits", "Sensing"]
 
 NUM_ROBOT = 6
 """Numbers of a robot that a policy may read."""
+
+SMALLEST = 1e-3
+"""Of a robot's radius, limits, view and range."""
 
 # Files from before there were these lack them.
 _LATER = ("observe_robot", "observe_nobody")
@@ -100,6 +105,39 @@ class Sensing:
         human = 3 * self.observe_human + 2 * self.observe_human_velocity + self.observe_nobody
         return self.num_sectors + 3 + human + NUM_ROBOT * self.observe_robot
 
+    def robot(self, numbers: Sequence[float] | None) -> tuple[float, ...] | None:
+        """The robot that a policy is to drive: radius (m), top speed (m/s), top turn rate (rad/s), and the
+        lidar's view (rad), range (m) and distance ahead of the rotation centre (m); else ``None``.
+
+        Raises:
+            ValueError: for a robot that the policy does not read, none where it does, or what is none.
+
+        Example:
+            >>> Sensing(observe_robot=True).robot([0.2, 0.5, 3, 6.28, 4, 0])
+            (0.2, 0.5, 3.0, 6.28, 4.0, 0.0)
+            >>> Sensing().robot([0.2, 0.5, 3, 6.28, 4, 0])
+            Traceback (most recent call last):
+            ...
+            ValueError: this policy does not read robot=, sensing.observe_robot is false.
+        """
+        if not self.observe_robot:
+            if numbers is not None:
+                raise ValueError(
+                    "this policy does not read robot=, sensing.observe_robot is false."
+                )
+            return None
+        if numbers is None:
+            raise ValueError(
+                "this policy reads which robot it drives (sensing.observe_robot): give robot=, radius, "
+                "top speed, top turn rate, and the lidar's view, range and distance ahead of the centre."
+            )
+        found = numbers_of("robot", numbers, "six numbers", NUM_ROBOT)
+        if min(found[:-1]) < SMALLEST:
+            raise ValueError(
+                f"robot must have a radius, limits, view and range above 0, got {found}."
+            )
+        return found
+
     def check(self, available: Sensing, source: str = "this environment") -> None:
         """Refuse what shows a policy something else than it was trained with.
 
@@ -131,8 +169,9 @@ class Sensing:
                 )
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON values."""
-        return dataclasses.asdict(self)
+        """As JSON values; what older versions do not know is left out where it is not needed."""
+        values = dataclasses.asdict(self)
+        return {name: one for name, one in values.items() if one or name not in _LATER}
 
     @classmethod
     def from_json(cls, entries: Entries) -> Sensing:
