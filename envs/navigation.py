@@ -85,7 +85,7 @@ class NavigationEnv(BatchedMujocoEnv):
         num_rays: lidar rays per revolution.
         max_range: range of the lidar, metres.
         repeat_failed: see :class:`envs.scene_stream.SceneStream`; for training.
-        report_robot: observe ``robot`` [N, 6]: the first of :data:`envs.robot_ranges.DRIVEN`.
+        report_robot: observe ``robot`` [N, 6], of :data:`envs.robot_ranges.DRIVEN`; robots that differ are.
         faults: of sensors and actuation, also as a mapping.
         objectives: names from :data:`envs.OBJECTIVES`, one for each entry of the reward.
         rewards: constants of the objectives, also as a mapping.
@@ -136,7 +136,7 @@ class NavigationEnv(BatchedMujocoEnv):
         self.scene = get_scene(scene)
         self.robots = RobotBatch(get_robots(robot), kwargs.get("num_envs", 1), drive)
         self.robot = self.robots.largest
-        self.report_robot = report_robot
+        self.report_robot = report_robot or self.robots.varies
         self.drive = drive
         self.goal_radius = goal_radius
         self.num_rays = num_rays

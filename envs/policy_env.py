@@ -16,21 +16,22 @@ from torchrl_morl.transforms import PreferenceSampler, RewardModelReward
 
 from .lidar import MIN_RANGE
 from .navigation import NavigationEnv
-from .robot_ranges import get_robots
+from .robot_ranges import get_robots, largest
 from .robots import Robot
 from .scene_files import get_scene
 
-_OBSERVED = ("observe_human", "observe_human_velocity", "observe_nobody", "observe_robot")
+OBSERVED = ("observe_human", "observe_human_velocity", "observe_nobody", "observe_robot")
+"""Arguments of :func:`make_policy_env` that say what the policy observes."""
 
 
 def observed(arguments: Mapping[str, Any]) -> dict[str, bool]:
     """Those of the arguments of :func:`make_policy_env` that say what the policy observes."""
-    return {name: arguments[name] for name in _OBSERVED if name in arguments}
+    return {name: arguments[name] for name in OBSERVED if name in arguments}
 
 
 def simulated(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """The other arguments of :func:`make_policy_env`: those of :class:`NavigationEnv`."""
-    return {name: value for name, value in arguments.items() if name not in _OBSERVED}
+    return {name: value for name, value in arguments.items() if name not in OBSERVED}
 
 
 def observation_size(arguments: Mapping[str, Any]) -> int:
@@ -64,8 +65,7 @@ def contract(arguments: Mapping[str, Any]) -> dict[str, Any]:
         (0.15, 0.0)
     """
     robot = get_robots(arguments.get("robot", "turtlebot2"))
-    largest = robot if isinstance(robot, Robot) else robot.largest
-    speed, turn = largest.max_speed, largest.max_turn_rate
+    speed, turn = largest(robot).max_speed, largest(robot).max_turn_rate
     return {
         "sensing": sensing(arguments),
         "limits": Limits((0.0, speed), (-turn, turn)),
@@ -85,7 +85,10 @@ def check_policy(policy: Policy, arguments: Mapping[str, Any]) -> None:
 
 
 def lidar_geometry(env: NavigationEnv) -> LidarGeometry:
-    """The lidar of an environment, for :class:`~torchrl_morl.deploy.PolicyRunner`."""
+    """The lidar of an environment, for :class:`~torchrl_morl.deploy.PolicyRunner`.
+
+    Of robots that differ it is that of the largest.
+    """
     return LidarGeometry(
         first_angle=0.0,
         increment=2 * math.pi / env.num_rays,

@@ -126,6 +126,11 @@ class RobotRanges:
         return Robot(self.name, **dict(zip(DRIVEN, numbers.tolist())))
 
 
+def largest(robots: Robot | RobotRanges) -> Robot:
+    """The robot itself, or the one with the high end of each range."""
+    return robots.largest if isinstance(robots, RobotRanges) else robots
+
+
 ANY_ROBOT = RobotRanges()
 """Indoor robots from a vacuum cleaner to a delivery robot."""
 

@@ -7,7 +7,6 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from envs import HUMAN_RADIUS, NavigationEnv
-from envs.people import FAR
 from envs.robots import get_robot
 from envs.scene_files import get_scene
 from torchrl_morl import evaluation
@@ -44,9 +43,6 @@ def episode_values(result: Sweep, *, scene: str, robot: str) -> TensorDict:
     )
     period, success = NavigationEnv.CONTROL_PERIOD, metrics["success"]
     stands = get_scene(scene).human_speed == 0
-    nearest = metrics["min_human_distance"]
-    # Undefined where nobody is.
-    metrics["min_human_distance"] = nearest.masked_fill(nearest > FAR / 2, torch.nan)
     shortest = shortest_path_length(
         scenes["start"],
         scenes["goal"],

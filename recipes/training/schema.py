@@ -84,10 +84,18 @@ class Env(Section):
     """Where an agent trains."""
 
     scene: SceneField = Field(description="Scenes in which it trains.")
-    robot: RobotField = Field(description="The robot that is trained.")
+    robot: RobotField = Field(
+        description="The robot that is trained; any draws one for every episode."
+    )
     observe_human: bool = Field(description="Whether the policy knows where the human is.")
     observe_human_velocity: bool = Field(
         description="Whether the policy knows the human's velocity, for humans who walk."
+    )
+    observe_nobody: bool = Field(
+        description="Whether the policy knows that nobody is there, for scenes without anybody."
+    )
+    observe_robot: bool = Field(
+        description="Whether the policy knows which robot it drives, for robots that differ."
     )
     drive: Literal["planar", "wheels"] = Field(
         description="Velocity servos, or wheels with rolling contact, several times dearer."

@@ -23,6 +23,7 @@ from torchrl_morl.transforms.robot import (
     hull_ranges,
 )
 
+from .onnx_runner import FASTEST_HUMAN
 from .sensing import NUM_ROBOT, Sensing
 
 __all__ = [
@@ -157,7 +158,11 @@ def policy_transforms(
             scale=list(scales.values()),
         ),
         # Metres per second are of order one as they are.
-        *([VelocityInFrame(period=period)] if observe_human_velocity else []),
+        *(
+            [VelocityInFrame(period=period, max_speed=FASTEST_HUMAN)]
+            if observe_human_velocity
+            else []
+        ),
         *([InUnitsOf("human_velocity")] if observe_human_velocity and observe_robot else []),
         *([UnaryTransform(["human"], ["nobody"], fn=IsNobody())] if observe_nobody else []),
         *(
