@@ -8,12 +8,20 @@ from typing import Any
 import numpy as np
 import torch
 
+from .people_files import PeopleSampler
+from .robot_ranges import RobotRanges
 from .scene_checks import checked
 from .scene_files import SceneSampler
 from .scenes import Scene
 
 SCENE_BLOCK = 64
 """Scenes are drawn in blocks, since a block costs little more than a single scene."""
+
+# Scenes that share the radius of a robot, where robots differ.
+_ROBOT_BLOCK = 8
+
+# The straight way to the goal takes at most so many seconds, half of an episode.
+_IN_TIME = 30.0
 
 # The latest failed scenes are kept.
 _CAPACITY = 2_048
@@ -33,6 +41,8 @@ class SceneStream:
         repeat_failed: share of the episodes that take place in a scene in which an episode has failed,
             once there is one.
         goal_radius: distance from the goal at which it is reached, metres.
+        robots: of which every episode draws one; then scenes have ``robot`` [n, 8], too, in the order of
+            :data:`envs.robot_ranges.DRIVEN`. A few scenes share a radius.
 
     Raises:
         ValueError: for a share that is not between 0 and 1, or a described scene that cannot be.
@@ -46,6 +56,7 @@ class SceneStream:
         *,
         repeat_failed: float = 0.0,
         goal_radius: float = 0.0,
+        robots: RobotRanges | None = None,
     ) -> None:
         if not 0.0 <= repeat_failed <= 1.0:
             raise ValueError(f"repeat_failed must be between 0 and 1, got {repeat_failed}.")
@@ -54,7 +65,8 @@ class SceneStream:
         self.num_envs = num_envs
         self.repeat_failed = repeat_failed
         self.goal_radius = goal_radius
-        if isinstance(scene.sample, SceneSampler):
+        self.robots = robots
+        if isinstance(scene.sample, SceneSampler | PeopleSampler):
             # Before anything is trained or written. A function of the user's may keep a count.
             scene.sample.check(robot_radius)
         self.seed(0)
@@ -130,13 +142,26 @@ class SceneStream:
 
     def _next(self, n: int, generator: torch.Generator) -> dict[str, np.ndarray]:
         while self._new is None or len(self._new["start"]) < n:
-            block = self.scene.sample(SCENE_BLOCK, self.robot_radius, generator)
-            block = checked(block, self.scene, SCENE_BLOCK, self.robot_radius, self.goal_radius)
-            block = {key: values.numpy() for key, values in block.items()}
+            block = self._block(generator)
             self._new = block if self._new is None else _joined(self._new, block)
         taken = {key: values[:n] for key, values in self._new.items()}
         self._new = {key: values[n:] for key, values in self._new.items()}
         return taken
+
+    def _block(self, generator: torch.Generator) -> dict[str, np.ndarray]:
+        size, radius, ranges = SCENE_BLOCK, self.robot_radius, self.robots
+        if ranges is not None:
+            size = _ROBOT_BLOCK
+            radius = float(ranges.draw(1, generator)[0, 0])
+        block = self.scene.sample(size, radius, generator)
+        block = dict(checked(block, self.scene, size, radius, self.goal_radius))
+        if ranges is not None:
+            way = (block["goal"] - block["start"][:, :2]).norm(dim=-1)
+            robots = ranges.draw(size, generator, slowest=way / _IN_TIME)
+            robots[:, -3] *= radius / robots[:, 0]  # its lidar stays within the hull
+            robots[:, 0] = radius
+            block["robot"] = robots
+        return {key: values.numpy() for key, values in block.items()}
 
 
 def _joined(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

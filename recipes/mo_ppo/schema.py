@@ -43,12 +43,20 @@ class Env(schema.Env):
     scene: SceneField | None = Field(
         description="Scenes in which it trains; null is where the policy was evaluated."
     )
-    robot: RobotField | None = Field(description="The robot; null is that of the policy.")
+    robot: RobotField | None = Field(
+        description="The robot, any draws one for every episode; null is that of the policy."
+    )
     observe_human: bool | None = Field(
         description="Whether the policy knows where the human is; null is as it was trained."
     )
     observe_human_velocity: bool | None = Field(
         description="Whether the policy knows the human's velocity; null is as it was trained."
+    )
+    observe_nobody: bool | None = Field(
+        description="Whether the policy knows that nobody is there; null is as it was trained."
+    )
+    observe_robot: bool | None = Field(
+        description="Whether the policy knows which robot it drives; null is as it was trained."
     )
     drive: Literal["planar", "wheels"] | None = Field(
         description="Velocity servos, or wheels with rolling contact; null is as it was trained."

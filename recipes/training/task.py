@@ -14,9 +14,16 @@ from tensordict import TensorDict, TensorDictBase
 from torch import nn
 from torchrl.envs import EnvBase
 
-from envs import NavigationEnv
+from envs import NavigationEnv, RobotRanges, get_robots
 from envs.demonstrations import CircleDemonstrator, demonstrated_paths
-from envs.policy_env import make_policy_env, observation_size, observed_size, simulated
+from envs.policy_env import (
+    OBSERVED,
+    make_policy_env,
+    observation_size,
+    observed_size,
+    simulated,
+)
+from envs.robot_ranges import largest
 from envs.splits import check_validation_seed, training_seed
 from recipes.evaluation.sweep import scene_layout
 from recipes.objectives import reward_objectives
@@ -112,8 +119,8 @@ def check_observation(cfg: DictConfig, source: str, size: int) -> None:
     expected = observation_size(cfg.env)
     if size != expected:
         raise ValueError(
-            f"{source} is about observations of {size} entries, here they have {expected}: both "
-            "recipes must be given the same env.observe_human and env.observe_human_velocity."
+            f"{source} is about observations of {size} entries, here they have {expected}: both recipes "
+            f"must be given the same {', '.join(f'env.{name}' for name in OBSERVED)}."
         )
 
 
@@ -171,7 +178,19 @@ def demonstrated(cfg: DictConfig, card: dict[str, Any], start: TensorDictBase) -
         return None
     kwargs = simulated(evaluation_arguments(cfg))
     del kwargs["num_envs"], kwargs["seed"]
-    return demonstrated_paths(CircleDemonstrator(**card["demonstrator"]), start, **kwargs)
+    return demonstrated_paths(
+        CircleDemonstrator(**demonstrator_of(card, cfg.env.robot)), start, **kwargs
+    )
+
+
+def demonstrator_of(card: dict[str, Any], robot: Any) -> dict[str, Any]:
+    """Arguments of what a reward model's card was shown, for another robot where robots differ."""
+    given = dict(card["demonstrator"])
+    shown, here = get_robots(given.get("robot", "turtlebot2")), get_robots(robot)
+    if isinstance(shown, RobotRanges) or isinstance(here, RobotRanges):
+        given["robot"] = robot
+        given["speed"] = min(given["speed"], largest(here).max_speed)
+    return given
 
 
 def evaluation_arguments(cfg: DictConfig) -> dict[str, Any]:

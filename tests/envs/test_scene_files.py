@@ -312,6 +312,9 @@ def test_places_that_hold_no_scene(tmp_path):
         get_scene(tmp_path / "binary.yaml")
     with pytest.raises(ValueError, match="at most 1,000,000"):
         get_scene(_written(tmp_path, "#" * 1_000_001))
-    for source in (3, None, ["static"], "doorway"):
-        with pytest.raises(ValueError, match=r"Unknown scene .*: choose one of \['corridor'"):
+    for source in (3, None, ["static"], "doorways"):
+        with pytest.raises(
+            ValueError,
+            match=r"Unknown scene .*: choose one of \['ahead', 'any_heading', 'boxes', 'corridor'",
+        ):
             get_scene(source)
