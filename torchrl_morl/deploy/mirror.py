@@ -9,7 +9,7 @@ from torch import Tensor
 
 __all__ = ["mirror_action", "mirror_observation"]
 
-_LATERAL = {"goal": 1, "human": 1, "human_velocity": 1}
+_LATERAL = {"goal": 1, "human": 1, "human_velocity": 1, "nobody": None, "robot": None}
 """The entry of each part that changes its sign: the sine of a bearing, the velocity to the left."""
 
 
@@ -52,6 +52,8 @@ def mirror_observation(observation: Tensor, parts: Mapping[str, Sequence[int]]) 
         part = observation[..., places[0] : places[-1] + 1]
         if name == "lidar":
             images.append(part.flip(-1))
+        elif _LATERAL[name] is None:
+            images.append(part)
         else:
             sign = [1.0] * len(places)
             sign[_LATERAL[name]] = -1.0
