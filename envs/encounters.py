@@ -39,6 +39,9 @@ _WAITS = (0.0, 8.0, 14.0, 20.0, 28.0)
 _REFUGES = ((0.0, 0.0), (0.0, 0.8), (0.0, -0.8), (0.0, 1.4), (0.0, -1.4))
 """Ahead of the start towards the goal and to the left of it, metres."""
 
+_Refuges = list[tuple[tuple[float, float], float]]
+_PLANS: _Refuges = [(refuge, wait) for refuge in _REFUGES for wait in _WAITS]
+
 _TURNS = math.pi / SLOW_TURN
 _FOREVER = torch.tensor(1e6, dtype=torch.float64)
 # Plans of a scene that are followed to the goal before it is given up.
@@ -69,14 +72,24 @@ def solvable_among_people(scenes: TensorDictBase, robot_radius: float) -> Tensor
         >>> solvable_among_people(scenes, 0.177)
         tensor([ True, False])
     """
-    found = torch.zeros(len(scenes), dtype=torch.bool)
     if not len(scenes):
-        return found
+        return torch.zeros(0, dtype=torch.bool)
+    # Most scenes need no refuge and no wait, which is the first plan: the others are made for the rest.
+    found = _follows(scenes, robot_radius, _PLANS[:1])
+    rows = (~found).nonzero()[:, 0]
+    if len(rows):
+        found[rows] = _follows(scenes[rows], robot_radius, _PLANS[1:])
+    return found
+
+
+def _follows(scenes: TensorDictBase, robot_radius: float, plans: _Refuges) -> Tensor:
+    """Whether one of the plans leads to the goal, bool ``[n]``."""
+    found = torch.zeros(len(scenes), dtype=torch.bool)
     start, goal, boxes = scenes["start"][:, :2], scenes["goal"], scenes["boxes"]
     people = scenes["people"]
-    plans = _Plans(start, goal)
+    plans = _Plans(start, goal, plans)
     good = plans.safe(boxes, people, robot_radius)
-    for _ in range(_ATTEMPTS):
+    for _ in range(min(_ATTEMPTS, good.shape[1])):
         rows = (~found & good.any(-1)).nonzero()[:, 0]
         if not len(rows):
             break
@@ -93,8 +106,7 @@ def solvable_among_people(scenes: TensorDictBase, robot_radius: float) -> Tensor
 class _Plans:
     """Every refuge with every wait, ``C`` plans in each of ``n`` scenes."""
 
-    def __init__(self, start: Tensor, goal: Tensor) -> None:
-        refuges = [(refuge, wait) for refuge in _REFUGES for wait in _WAITS]
+    def __init__(self, start: Tensor, goal: Tensor, refuges: _Refuges) -> None:
         offset = torch.tensor([refuge for refuge, _ in refuges], dtype=torch.float64)
         waits = torch.tensor([wait for _, wait in refuges], dtype=torch.float64)
         way = goal - start

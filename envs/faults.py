@@ -141,6 +141,11 @@ class Faults:
         return any(self.most[name] for name in ("human_noise", "human_bias", "human_lost"))
 
     @functools.cached_property
+    def misreport(self) -> bool:
+        """Whether goal or human can be reported elsewhere than they are."""
+        return bool(self.most["goal_drift"]) or self.misreport_human
+
+    @functools.cached_property
     def scale(self) -> bool:
         """Whether the base drives other velocities than it is told."""
         return self._ends("speed_scale") != (1, 1) or self._ends("turn_scale") != (1, 1)

@@ -44,6 +44,11 @@ class Layout:
     heading: Draw = (-math.pi, math.pi)
     start_beside: Draw = (0.0, 0.0)
 
+    @property
+    def furthest_goal(self) -> float:
+        """Metres from the start."""
+        return math.hypot(self.way[1], max(map(abs, self.start_beside)))
+
     def __call__(self, n: int, robot_radius: float, generator: torch.Generator) -> TensorDict:
         """Scenes ``[n]``, see :class:`Scene`.
 
@@ -124,6 +129,10 @@ class Mixture:
     def num_people(self) -> int:
         return max(scene.num_people or 1 for scene in self.scenes)
 
+    @property
+    def furthest_goal(self) -> float:
+        return max(furthest_goal(scene) for scene in self.scenes)
+
     def __call__(self, n: int, robot_radius: float, generator: torch.Generator) -> TensorDict:
         """Scenes ``[n]``, see :class:`Scene`."""
         weights = torch.tensor(self.weights, dtype=torch.float64)
@@ -136,6 +145,11 @@ class Mixture:
                 parts.append(_padded(drawn, scene, self.num_people, self.num_boxes))
                 places.append(rows)
         return torch.cat(parts)[torch.cat(places).argsort()]
+
+
+def furthest_goal(scene: Scene) -> float:
+    """How far goals can be in a scene, metres; 12 where it does not say."""
+    return getattr(scene.sample, "furthest_goal", 12.0)
 
 
 def mixture(name: str, weights: Sequence[tuple[Scene, float]]) -> Scene:

@@ -42,7 +42,7 @@ class Lidar:
         max_range: float,
         dtype: np.typing.DTypeLike = np.float64,
     ) -> None:
-        self.robot = robot
+        self.robot, self._offset = robot, np.empty(0)
         self.num_rays = num_rays
         self.max_range = max_range
         self.dtype = dtype
@@ -79,7 +79,9 @@ class Lidar:
         rows = np.arange(len(cos)) if ids is None else ids
         ranges = np.full((len(rows), self.num_rays), self.max_range, self.dtype)
         if offset is None:
-            offset = np.full(len(rows), self.robot.lidar_offset)
+            if len(self._offset) < len(rows):
+                self._offset = np.full(len(rows), self.robot.lidar_offset)
+            offset = self._offset[: len(rows)]
         _cast(ranges, seen, cos, sin, rows, boxes, radius, self._rays, offset)
         return ranges if len(self._ids) == self.num_rays else ranges[:, self._ids]
 

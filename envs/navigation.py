@@ -326,7 +326,8 @@ class NavigationEnv(BatchedMujocoEnv):
         return torch.from_numpy(velocity_to_ctrl(velocity, self.drive))
 
     def _simulate(self) -> None:
-        self._substeps.advance(self.batch, self._view, self._task, self._time())
+        time = self._time() if self.scene.human_speed else None
+        self._substeps.advance(self.batch, self._view, self._task, time)
 
     def _time(self, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
         return self._elapsed.numpy()[rows, 0] * self.CONTROL_PERIOD
@@ -358,8 +359,9 @@ class NavigationEnv(BatchedMujocoEnv):
         cos, sin = cos_sin(pose[:, 2])
         seen = task.ahead_and_left(cos, sin, ids)
         varies = self.robots.varies
-        where = task, seen, cos, sin, ids, self._faults[rows]
-        goal, human = self._perception.polar(*where, self._time(rows))
+        where = task, seen, cos, sin, ids, self._faults if ids is None else self._faults[rows]
+        time = self._time(rows) if self.faults.misreport else None
+        goal, human = self._perception.polar(*where, time)
         flags = task.flags[rows].copy()
         out = {
             "scan": self._perception.scan(*where, self.robots.numbers[rows] if varies else None),

@@ -66,7 +66,7 @@ class NavigationTask:
         self._touched = np.zeros((num_envs, 2), dtype=bool)
         """Whether a person or a box was touched within this step, ``[N, 2]``."""
         self._first_box = 1 + num_people
-        self._hull = np.zeros(num_envs)
+        self._hull, self._reach = np.zeros(num_envs), math.nan
         self._points = np.zeros_like(self.way)
         self._box_cos, self._box_sin = np.zeros((2, num_boxes, num_envs))
 
@@ -111,6 +111,7 @@ class NavigationTask:
             self.people[rows, 0, 3:5] = scene["human_goal"]
         if "robot" in scene:
             self.robot_radius[rows] = scene["robot"][:, 0]
+            self._reach = math.nan
 
     def snapshot(self, rows: np.ndarray | slice, *, several: bool) -> dict[str, np.ndarray]:
         """What :meth:`place` needs to go on from here, without the human's pose if there are not several."""
@@ -200,7 +201,9 @@ class NavigationTask:
             position: of the robots, ``[N, 2]``, metres.
             reach: what robots and people can come nearer in a step, metres.
         """
-        self._hull[:] = self.robot_radius + reach
+        if reach != self._reach:
+            self._reach = reach
+            self._hull[:] = self.robot_radius + reach
         headings = self._box_cos, self._box_sin
         scene = self.boxes, self._first_box - 1, HUMAN_RADIUS
         return near_rows(self._points, position, *headings, *scene, self._hull)

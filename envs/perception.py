@@ -88,7 +88,7 @@ class Perception:
         sin: np.ndarray,
         ids: np.ndarray | None,
         amounts: Tensor,
-        time: np.ndarray,
+        time: np.ndarray | None,
     ) -> tuple[Tensor, Tensor]:
         """Distance and bearing of goal and human, ``[n, 2]`` each; arguments as of :meth:`scan`.
 
@@ -99,7 +99,7 @@ class Perception:
             sin: of their headings.
             ids: their environments; ``None`` for all.
             amounts: of the faults there.
-            time: since the start, ``[n]``, seconds.
+            time: since the start, ``[n]``, seconds; ``None`` where no fault depends on it.
         """
         rows = slice(None) if ids is None else ids
         ahead, left = seen[:, :2]
@@ -108,7 +108,7 @@ class Perception:
             ahead, left = np.stack((seen[:, 0], human), axis=1)
         distance = task.distance[:, rows]
         faults = self.faults
-        if faults.most["goal_drift"] or faults.misreport_human:
+        if faults.misreport:
             at = torch.from_numpy(time)
             offset = np.zeros((2, 2, len(time)))  # of goal and human, x and y
             if faults.most["goal_drift"]:

@@ -14,6 +14,7 @@ from torchrl_morl.deploy.features import observation_parts, policy_transforms
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.transforms import PreferenceSampler, RewardModelReward
 
+from .layouts import furthest_goal
 from .lidar import MIN_RANGE
 from .navigation import NavigationEnv
 from .robot_ranges import get_robots, largest
@@ -45,13 +46,15 @@ def sensing(arguments: Mapping[str, Any]) -> Sensing:
     scene = get_scene(arguments.get("scene", "static"))
     observation_parts(**observed(arguments))  # refuses what does not go together
     max_range = 4.0 if max_range is None else float(max_range)
+    far = furthest_goal(scene)
     # A human who walks towards the robot starts at the goal, one who stands between the two.
-    human_range = (0.4, 12.0 if scene.human_speed else 8.0)
+    human_range = (0.4, max(far, 12.0) if scene.human_speed else 8.0)
     return Sensing(
         max_range=max_range,
         unknown_range=max_range,
         # Of robots that differ, the policy reads where it is.
         lidar_origin=(robot.lidar_offset if isinstance(robot, Robot) else 0.0, 0.0),
+        goal_range=(0.3, max(far, 12.0)),
         human_range=human_range,
         **observed(arguments),
     )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from .layouts import Mixture
 from .people_files import PeopleSampler
 from .robot_ranges import RobotRanges
 from .scene_checks import checked
@@ -17,8 +20,11 @@ from .scenes import Scene
 SCENE_BLOCK = 64
 """Scenes are drawn in blocks, since a block costs little more than a single scene."""
 
-# Scenes that share the radius of a robot, where robots differ.
-_ROBOT_BLOCK = 8
+_MIXTURE_BLOCK = 256
+"""And the blocks of mixtures are of several scenes each."""
+
+# Where robots differ a block is drawn in parts, each for the largest of its robots, then mixed.
+_RADII = 4
 
 # The straight way to the goal takes at most so many seconds, half of an episode.
 _IN_TIME = 30.0
@@ -42,7 +48,7 @@ class SceneStream:
             once there is one.
         goal_radius: distance from the goal at which it is reached, metres.
         robots: of which every episode draws one; then scenes have ``robot`` [n, 8], too, in the order of
-            :data:`envs.robot_ranges.DRIVEN`. A few scenes share a radius.
+            :data:`envs.robot_ranges.DRIVEN`. They are drawn for robots up to a quarter of the range larger.
 
     Raises:
         ValueError: for a share that is not between 0 and 1, or a described scene that cannot be.
@@ -149,19 +155,31 @@ class SceneStream:
         return taken
 
     def _block(self, generator: torch.Generator) -> dict[str, np.ndarray]:
-        size, radius, ranges = SCENE_BLOCK, self.robot_radius, self.robots
-        if ranges is not None:
-            size = _ROBOT_BLOCK
-            radius = float(ranges.draw(1, generator)[0, 0])
+        size = _MIXTURE_BLOCK if isinstance(self.scene.sample, Mixture) else SCENE_BLOCK
+        if self.robots is None:
+            block = self._sample(size, self.robot_radius, generator)
+            return {key: values.numpy() for key, values in block.items()}
+        low, high = self.robots.radius
+        ends = torch.linspace(low, high, _RADII + 1, dtype=torch.float64).tolist()
+        parts = [
+            self._with_robots(size // 2, ends[part : part + 2], generator)
+            for part in range(_RADII if high > low else 1)
+        ]
+        order = torch.randperm(sum(len(part["start"]) for part in parts), generator=generator)
+        return {key: torch.cat([part[key] for part in parts])[order].numpy() for key in parts[0]}
+
+    def _sample(self, size: int, radius: float, generator: torch.Generator) -> dict[str, Tensor]:
         block = self.scene.sample(size, radius, generator)
-        block = dict(checked(block, self.scene, size, radius, self.goal_radius))
-        if ranges is not None:
-            way = (block["goal"] - block["start"][:, :2]).norm(dim=-1)
-            robots = ranges.draw(size, generator, slowest=way / _IN_TIME)
-            robots[:, -3] *= radius / robots[:, 0]  # its lidar stays within the hull
-            robots[:, 0] = radius
-            block["robot"] = robots
-        return {key: values.numpy() for key, values in block.items()}
+        return dict(checked(block, self.scene, size, radius, self.goal_radius))
+
+    def _with_robots(
+        self, size: int, radii: Sequence[float], generator: torch.Generator
+    ) -> dict[str, Tensor]:
+        """Scenes for the larger of two radii, with robots between them."""
+        block = self._sample(size, radii[1], generator)
+        way = (block["goal"] - block["start"][:, :2]).norm(dim=-1)
+        among = dataclasses.replace(self.robots, radius=tuple(radii))
+        return block | {"robot": among.draw(size, generator, slowest=way / _IN_TIME)}
 
 
 def _joined(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

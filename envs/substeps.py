@@ -45,7 +45,11 @@ class Substeps:
         self.reach = _REACH * (robot_speed + human_speed) * period
 
     def advance(
-        self, batch: Batch, view: Mapping[str, Tensor], task: NavigationTask, time: np.ndarray
+        self,
+        batch: Batch,
+        view: Mapping[str, Tensor],
+        task: NavigationTask,
+        time: np.ndarray | None,
     ) -> None:
         """Step the physics and move the people.
 
@@ -53,22 +57,21 @@ class Substeps:
             batch: the simulations.
             view: of their state.
             task: whose robots are located where they are; it is told what they touch.
-            time: since the start of each episode, ``[N]``, seconds.
+            time: since the start of each episode, ``[N]``, seconds; ``None`` where nobody walks.
         """
         position = view["qpos"].numpy()[:, :2]
         rows = task.may_touch(position, self.reach)
-        everywhere = np.arange(len(time))
         if not len(rows):
-            self._walk(view, task, self.period, time, everywhere)
+            self._walk(view, task, self.period, time, None)
             batch.step(nstep=self.frame_skip)
             return
-        far = np.delete(everywhere, rows)
+        far = np.delete(np.arange(len(position)), rows)
         if len(far):
-            self._walk(view, task, self.period, time[far], far)
+            self._walk(view, task, self.period, time, far)
             batch.step(far, nstep=self.frame_skip)
         length = self.period / _SUBSTEPS
         for step in range(_SUBSTEPS):
-            self._walk(view, task, length, time[rows] + step * length, rows)
+            self._walk(view, task, length, time, rows, step * length)
             batch.step(rows, nstep=self.frame_skip // _SUBSTEPS)
             if step < _SUBSTEPS - 1:
                 task.touch(rows, position[rows])
@@ -78,10 +81,13 @@ class Substeps:
         view: Mapping[str, Tensor],
         task: NavigationTask,
         seconds: float,
-        time: np.ndarray,
-        rows: np.ndarray,
+        time: np.ndarray | None,
+        rows: np.ndarray | None,
+        later: float = 0.0,
     ) -> None:
         if self.human_speed:
-            task.walk(seconds, time, rows)
+            if rows is None:
+                rows = np.arange(len(time))
+            task.walk(seconds, time[rows] + later, rows)
             position = view["mocap_pos"].numpy()
             position[rows[:, None], self.mocap_people, :2] = task.people[rows, :, :2]
