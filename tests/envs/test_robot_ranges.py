@@ -43,7 +43,7 @@ def test_each_drives_at_its_own_limits_and_is_touched_at_its_own_radius():
     env = make_env(scene="empty", report_robot=True)
     data = env.reset()
     robot = data["robot"].double()
-    assert torch.unique(robot[:, 1]).numel() == 16 and torch.unique(robot[:, 0]).numel() == 2
+    assert torch.unique(robot[:, 1]).numel() == torch.unique(robot[:, 0]).numel() == 16
     for _ in range(12):
         data = env.step(data.set("action", torch.tensor([[1.0, 0.5]] * 16)))["next"]
     speed = data["qvel"][:, :2].norm(dim=-1)
