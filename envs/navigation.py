@@ -135,9 +135,8 @@ class NavigationEnv(BatchedMujocoEnv):
         check_count("num_rays", num_rays)
         self.scene = get_scene(scene)
         self.robots = RobotBatch(get_robots(robot), kwargs.get("num_envs", 1), drive)
-        self.robot = self.robots.largest
+        self.robot, self.drive = self.robots.largest, drive
         self.report_robot = report_robot or self.robots.varies
-        self.drive = drive
         self.goal_radius = goal_radius
         self.num_rays = num_rays
         self.max_range = max_range
@@ -358,13 +357,12 @@ class NavigationEnv(BatchedMujocoEnv):
         pose = qpos_to_pose(self._view["qpos"].numpy()[rows], self.drive)
         cos, sin = cos_sin(pose[:, 2])
         seen = task.ahead_and_left(cos, sin, ids)
-        varies = self.robots.varies
         where = task, seen, cos, sin, ids, self._faults if ids is None else self._faults[rows]
         time = self._time(rows) if self.faults.misreport else None
         goal, human = self._perception.polar(*where, time)
         flags = task.flags[rows].copy()
         out = {
-            "scan": self._perception.scan(*where, self.robots.numbers[rows] if varies else None),
+            "scan": self._perception.scan(*where, self.robots.differing(rows)),
             "goal": goal,
             "human": human,
             "success": torch.from_numpy(flags[:, 0:1]),
@@ -376,10 +374,10 @@ class NavigationEnv(BatchedMujocoEnv):
         if self.report_robot:
             out["robot"] = self.robots.report(rows).to(self.dtype)
         if self.snapshots:
-            scene = task.snapshot(rows, several=self.scene.num_people is not None)
-            scene |= {"robot": self.robots.numbers[rows].copy()} if varies else {}
-            scene = {key: torch.from_numpy(one) for key, one in scene.items()}
-            out["scene"] = TensorDict(scene, batch_size=[len(pose)])
+            several = self.scene.num_people is not None
+            scene = task.snapshot(rows, several=several) | self.robots.snapshot(rows)
+            tensors = {key: torch.from_numpy(one) for key, one in scene.items()}
+            out["scene"] = TensorDict(tensors, batch_size=[len(pose)])
             if self.faults.memory:
                 out["pending_action"] = self._pending[rows].flatten(1).clone()
             if self.faults.is_random:

@@ -52,6 +52,14 @@ class RobotBatch:
         """Metres; ``[N]`` where they differ."""
         return self.numbers[:, 0].copy() if self.varies else self.largest.radius
 
+    def differing(self, rows: np.ndarray | slice) -> np.ndarray | None:
+        """Numbers of the robots ``[n, 8]`` where they differ."""
+        return self.numbers[rows] if self.varies else None
+
+    def snapshot(self, rows: np.ndarray | slice) -> dict[str, np.ndarray]:
+        """What goes on from a snapshot needs of robots that differ."""
+        return {"robot": self.numbers[rows].copy()} if self.varies else {}
+
     def report(self, rows: np.ndarray | slice) -> Tensor:
         """What a policy may be told, ``[n, 6]``."""
         return torch.from_numpy(self.numbers[rows, :NUM_REPORTED].copy())

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .layouts import Mixture
+from .layouts import Layout, Mixture
 from .people_files import PeopleSampler
 from .robot_ranges import RobotRanges
 from .scene_checks import checked
@@ -25,6 +25,9 @@ _MIXTURE_BLOCK = 256
 
 # Where robots differ a block is drawn in parts, each for the largest of its robots, then mixed.
 _RADII = 4
+
+# Blocks that are kept, by the state of the generator before them.
+_KNOWN_BLOCKS = 4
 
 # The straight way to the goal takes at most so many seconds, half of an episode.
 _IN_TIME = 30.0
@@ -75,6 +78,7 @@ class SceneStream:
         if isinstance(scene.sample, SceneSampler | PeopleSampler):
             # Before anything is trained or written. A function of the user's may keep a count.
             scene.sample.check(robot_radius)
+        self._known_blocks: dict[bytes, tuple[dict[str, np.ndarray], Tensor]] = {}
         self.seed(0)
 
     def seed(self, seed: int) -> None:
@@ -155,6 +159,21 @@ class SceneStream:
         return taken
 
     def _block(self, generator: torch.Generator) -> dict[str, np.ndarray]:
+        if not isinstance(self.scene.sample, Layout | Mixture):
+            return self._drawn(generator)
+        # An evaluation begins with the same seed for every preference, and these scenes take long to find.
+        before = generator.get_state().numpy().tobytes()
+        if before in self._known_blocks:
+            block, after = self._known_blocks[before]
+            generator.set_state(after)
+            return block
+        block = self._drawn(generator)
+        self._known_blocks[before] = block, generator.get_state()
+        if len(self._known_blocks) > _KNOWN_BLOCKS:
+            del self._known_blocks[next(iter(self._known_blocks))]
+        return block
+
+    def _drawn(self, generator: torch.Generator) -> dict[str, np.ndarray]:
         size = _MIXTURE_BLOCK if isinstance(self.scene.sample, Mixture) else SCENE_BLOCK
         if self.robots is None:
             block = self._sample(size, self.robot_radius, generator)

@@ -43,7 +43,7 @@ def test_each_drives_at_its_own_limits_and_is_touched_at_its_own_radius():
     env = make_env(scene="empty", report_robot=True)
     data = env.reset()
     robot = data["robot"].double()
-    assert torch.unique(robot[:, 1]).numel() == 16 and torch.unique(robot[:, 0]).numel() == 2
+    assert torch.unique(robot[:, 1]).numel() == torch.unique(robot[:, 0]).numel() == 16
     for _ in range(12):
         data = env.step(data.set("action", torch.tensor([[1.0, 0.5]] * 16)))["next"]
     speed = data["qvel"][:, :2].norm(dim=-1)
@@ -172,3 +172,22 @@ def test_the_contract_of_robots_that_differ():
     facts = contract({"robot": "any", "observe_robot": True})
     assert facts["robot"] == "any" and facts["limits"].speed == (0.0, 1.0)
     assert facts["sensing"].observe_robot
+
+
+def test_scenes_of_a_block_are_for_robots_of_all_sizes():
+    env = NavigationEnv(scene="static", robot="any", num_envs=128, num_threads=1, seed=0)
+    radius = env.reset()["robot"][:, 0]
+    low, high = ANY_ROBOT.radius
+    assert radius.min() >= low and radius.max() <= high
+    quarters = ((radius - low) / (high - low) * 4).long().clamp(0, 3)
+    assert torch.bincount(quarters, minlength=4).tolist() == [32, 32, 32, 32]
+
+
+def test_the_same_seed_gives_the_same_scenes_again():
+    """The second time they are not drawn, and what comes after them is as it was."""
+    env = NavigationEnv(scene="crossing", robot="any", num_envs=4, num_threads=1, seed=5)
+    first = [env.reset()["scene"].clone() for _ in range(40)]
+    env.set_seed(5)
+    again = [env.reset()["scene"] for _ in range(40)]
+    for one, other in zip(first, again):
+        assert (one == other).all()
