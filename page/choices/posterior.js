@@ -31,7 +31,7 @@ export function answerChances(first, second, model, out) {
   const most = Math.max(first, second, 0);
   out[0] = Math.exp(first - most);
   out[1] = Math.exp(second - most);
-  out[2] = model.tie * Math.exp((first + second) / 2 - most);
+  out[2] = model.tie * Math.sqrt(out[0] * out[1]);
   out[3] = model.neither * Math.exp(-most);
   const share = (1 - model.slip) / (out[0] + out[1] + out[2] + out[3]);
   const accident = model.slip / (2 + (model.tie > 0) + (model.neither > 0));
