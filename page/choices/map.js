@@ -19,7 +19,8 @@ export function drawMap(canvas, preferences, best, theme) {
   canvas.height = Math.round(height * ratio);
   const c = canvas.getContext("2d");
   c.setTransform(ratio, 0, 0, ratio, 0, 0);
-  const edge = 13;
+  const largest = width / 22; // radius of a dot
+  const edge = largest + 7;
   const place = ([, left, right]) => [
     edge + (width - 2 * edge) * (0.5 - left / 2 + right / 2),
     edge + (height - 2 * edge) * (left + right),
@@ -34,7 +35,6 @@ export function drawMap(canvas, preferences, best, theme) {
   c.globalAlpha = 1;
   const values = best ? best.satisfaction : preferences.map(() => 0);
   const most = Math.max(...values);
-  const largest = width / 22;
   preferences.forEach((preference, index) => {
     // A fifth less than the best is hardly seen.
     const share = best ? Math.max(1 - (most - values[index]) / 0.3, 0) : 0;

@@ -14,7 +14,8 @@ const BUTTONS = { first: "1", second: "2", same: "=", neither: "n", undo: "u", s
 const CODES = { ArrowLeft: "1", ArrowRight: "2", Backspace: "u" };
 const SAID = { 1: "the first one", 2: "the second one", "=": "the same", n: "neither", s: "something else" };
 
-const percent = (value) => `${Math.round(100 * value)} %`;
+// A line does not break before the sign.
+const percent = (value) => `${Math.round(100 * value)}\u00a0%`;
 
 export class Chooser {
   /** `onDrive` is given the preference to drive with; `onChange` is told that the answers have changed. */
@@ -141,7 +142,7 @@ export class Chooser {
     const answers = count === 1 ? "1 answer" : `${count} answers`;
     byId("found").textContent = count ? `After ${answers}` : "What matters to you?";
     byId("sure").textContent = count
-      ? `This should reach ${percent(1 - regret)} of what you could like, and with a probability of 90 % at least ${percent(1 - regretHigh)}.`
+      ? `This should reach ${percent(1 - regret)} of what you could like, and with a probability of ${percent(0.9)} at least ${percent(1 - regretHigh)}.`
       : `Nobody knows yet. Say which of two drives you like better, five to ten times.`;
     byId("sureness").hidden = byId("found-weights").hidden = !count;
     byId("sureness").style.setProperty("--share", `${100 * (1 - regret)}%`);
