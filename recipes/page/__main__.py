@@ -66,6 +66,10 @@ def main() -> None:
         held = contents(args.policy, args.scene, num_scenes=args.seeds)
         if not args.without_choices:
             held["choices"] = choices(args.policy[0])
+            if held["choices"] is None:
+                print(
+                    f'note: without "You choose", since drives of {args.policy[0]} cannot be compared'
+                )
         text = html(held)
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(text)

@@ -214,3 +214,9 @@ def test_the_shipped_outcomes_are_of_the_shipped_policy_and_its_scenes():
     shipped = load(SHIPPED)
     torch.testing.assert_close(shipped.scenes["boxes"], start["scene", "boxes"])
     torch.testing.assert_close(shipped.scenes["start"], start["pose"])
+
+
+def test_a_policy_without_demonstrator_is_not_asked_about(monkeypatch):
+    """How much like recorded demonstrations its drives are is not measured."""
+    monkeypatch.setattr("recipes.page.choices.demonstrator", lambda *_: None)
+    assert choices(SHIPPED_POLICY) is None
