@@ -1,4 +1,5 @@
 // The page. The same script serves as the worker behind its previews.
+import { Chooser } from "./choices/panel.js";
 import { Hand } from "./recording/hand.js";
 import { Recorder } from "./recording/panel.js";
 import { Weights, byId, fillLists, showNumbers, showSetting, wordsOf } from "./view/controls.js";
@@ -11,6 +12,11 @@ import { Previews, serve } from "./view/worker.js";
 
 const PAUSE_AT_THE_END = 1.8; // seconds, before it starts again
 const HOW_TO_DRIVE = "Press and hold where the robot should go, or use the arrow keys";
+const LEADS = {
+  watch: "It drives to the flag by itself. Drag the dot and see how its way changes.",
+  record: "You drive. What you record can become a style of the robot's own.",
+  choose: "Say which of two drives you like better, and it finds what matters to you.",
+};
 const ENDINGS = {
   goal: ({ seconds, nearest }) =>
     `There in ${seconds.toFixed(1)} s, ${nearest.toFixed(2)} m from the person at the nearest`,
@@ -44,11 +50,12 @@ function start() {
   const writeAddress = () => {
     clearTimeout(toWrite);
     const { sceneName: scene, seed, preference, policyName: policy, motion, moved } = session;
-    const text = encode({ scene, seed, preference, policy, motion, moved });
+    const { log: answers, active: choosing } = chooser;
+    const text = encode({ scene, seed, preference, policy, motion, moved, answers, choosing });
     window.history.replaceState(null, "", `#${text}`);
   };
   const ask = () => {
-    if (!floor.show.previews || session.driver || session.episode.ending) return;
+    if (chooser.active || !floor.show.previews || session.driver || session.episode.ending) return;
     const { episode, policyName: name, preference, clamped } = session;
     previews.ask({ moment: episode.moment(), name, preference, clamped });
   };
@@ -89,20 +96,39 @@ function start() {
     recorder.begin();
     ask();
   };
-  const recorder = new Recorder(session, hand, {
-    announce: verdict,
-    onMode: (driving) => {
-      byId("lead").textContent = driving
-        ? "You drive. What you record can become a style of the robot's own."
-        : "It drives to the flag by itself. Drag the dot and see how its way changes.";
-      byId("hint").hidden = driving;
-      session.playing = true;
-      showPlay();
-      if (driving && contents.scenes.empty) session.select("empty");
-      else session.restart();
-      follow();
+  const recorder = new Recorder(session, hand, { announce: verdict });
+  const chooser = new Chooser(session, {
+    announce,
+    onChange: remember,
+    onDrive: (preference, policy) => {
+      if (session.policy.tunable.join() !== session.policies[policy].tunable.join()) session.setPolicy(policy);
+      session.preference = preference;
+      document.body.classList.remove("invite");
+      setMode("watch");
+      const parts = wordsOf(session).map((word, entry) => `${word} ${Math.round(100 * preference[entry])} %`);
+      byId("lead").textContent = `It drives as you chose: ${parts.join(", ")}.`;
+      announce(byId("lead").textContent);
+      byId("play").focus({ preventScroll: true });
+      window.scrollTo({ top: 0 });
     },
   });
+  let mode = "watch";
+  /** Who does what: "watch" (it drives), "record" (you drive) or "choose". */
+  const setMode = (name) => {
+    const recording = mode === "record" || name === "record";
+    mode = name;
+    for (const id of Object.keys(LEADS)) byId(id).setAttribute("aria-pressed", id === mode);
+    byId("lead").textContent = LEADS[mode];
+    byId("hint").hidden = mode === "record";
+    chooser.show(mode === "choose");
+    if (recording) recorder.show(mode === "record");
+    session.playing = true;
+    showPlay();
+    if (mode === "record" && contents.scenes.empty) session.select("empty");
+    else session.restart();
+    follow();
+  };
+  for (const id of Object.keys(LEADS)) byId(id).addEventListener("click", () => mode === id || setMode(id));
 
   dragOnFloor(floor, session, {
     hand,
@@ -113,13 +139,14 @@ function start() {
       ask();
     },
   });
-  wire({ session, floor, hand, recorder, weights, follow, showPlay, ask, announce, dark, paint, writeAddress });
+  wire({ session, floor, hand, recorder, chooser, weights, follow, showPlay, ask, announce, dark, paint, writeAddress });
 
   const known = {
     scenes: contents.scenes,
     policies: Object.fromEntries(
       Object.entries(session.policies).map(([name, policy]) => [name, policy.tunable.length]),
     ),
+    choices: Boolean(contents.choices),
   };
   const open = () => {
     const { state, refused } = decode(window.location.hash, known);
@@ -131,6 +158,8 @@ function start() {
     if (state.preference) session.preference = state.preference;
     for (const [name, place] of Object.entries(state.moved)) session.move(name, ...place);
     session.restart();
+    chooser.restore(state.answers ?? "");
+    if (Boolean(state.choosing) !== (mode === "choose")) setMode(state.choosing ? "choose" : "watch");
     if (refused.length) announce(`The link has something that is not here: ${refused.join(", ")}`);
     follow();
   };
@@ -145,7 +174,14 @@ function start() {
   let before = performance.now();
   const frame = (now) => {
     // A page in the background stands still.
-    session.tick(Math.min((now - before) / 1000, 0.1));
+    const passed = Math.min(Math.max(now - before, 0) / 1000, 0.1);
+    if (chooser.active) {
+      before = now;
+      chooser.draw(theme, passed);
+      requestAnimationFrame(frame);
+      return;
+    }
+    session.tick(passed);
     if (session.over && session.playing) {
       if (!ended) {
         ended = now;
@@ -169,11 +205,11 @@ function start() {
   }).observe(byId("floor"));
   requestAnimationFrame(frame);
   // For tests, and for the curious.
-  window.page = { session, floor, previews, recorder };
+  window.page = { session, floor, previews, recorder, chooser };
 }
 
 /** Buttons, lists and keys. */
-function wire({ session, floor, hand, recorder, weights, follow, showPlay, ask, announce, dark, paint, writeAddress }) {
+function wire({ session, floor, hand, recorder, chooser, weights, follow, showPlay, ask, announce, dark, paint, writeAddress }) {
   const on = (id, event, action) => byId(id).addEventListener(event, action);
   const play = () => {
     session.playing = !session.playing;
@@ -246,6 +282,11 @@ function wire({ session, floor, hand, recorder, weights, follow, showPlay, ask, 
     if (recorder.active && hand.key(event.code, true)) return event.preventDefault();
     // A button that is pressed by Space, or a slider that arrows move, does that.
     const taken = event.target.closest?.("button, input");
+    if (chooser.active) {
+      if (event.code === "Space" && taken) return;
+      if (chooser.key(event)) event.preventDefault();
+      return;
+    }
     if (event.code === "Space" && !taken) play();
     else if (event.code === "KeyR") again();
     else if (event.code === "KeyN") next();

@@ -3,15 +3,13 @@ import { byId } from "../view/controls.js";
 import { Drives } from "./drives.js";
 
 export class Recorder {
-  /** `onMode` is told when somebody takes over or hands back; `announce` says what became of a drive. */
-  constructor(session, hand, { onMode, announce }) {
+  /** `announce` says what became of a drive. */
+  constructor(session, hand, { announce }) {
     this.session = session;
     this.hand = hand;
     this.drives = new Drives();
     this.announce = announce;
     this.active = false;
-    byId("watch").addEventListener("click", () => this.active && this.#switch(false, onMode));
-    byId("record").addEventListener("click", () => this.active || this.#switch(true, onMode));
     byId("download").addEventListener("click", () => save("drives.csv", this.drives.csv));
     byId("download-boxes").addEventListener("click", () => save("boxes.csv", this.drives.boxesCsv));
     window.addEventListener("beforeunload", (event) => {
@@ -40,11 +38,10 @@ export class Recorder {
     this.#list();
   }
 
-  #switch(active, onMode) {
+  /** Somebody takes over, or hands back. */
+  show(active) {
     this.active = active;
     document.body.classList.toggle("driving", active);
-    byId("watch").setAttribute("aria-pressed", !active);
-    byId("record").setAttribute("aria-pressed", active);
     byId("record-card").hidden = !active;
     byId("preference-card").hidden = active;
     this.session.driver = active
@@ -55,7 +52,6 @@ export class Recorder {
           return command;
         }
       : null;
-    onMode(active);
   }
 
   #list() {

@@ -97,8 +97,8 @@ export class Policy {
   }
 }
 
-// The bytes of a base64 text.
-function bytes(base64) {
+/** The bytes of a base64 text. */
+export function bytes(base64) {
   return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
 }
 

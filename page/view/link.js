@@ -1,6 +1,8 @@
 // The state of a session in the part of an address behind #, and back.
 
 const MOTIONS = ["stands", "walks", "crosses"];
+/** What may be typed in a dialogue, see choices/dialogue.js. */
+const ANSWERS = /^[12=nus]{1,200}$/;
 
 // Nothing between two commas is no number, whatever Number says of it.
 function numbers(text) {
@@ -19,13 +21,16 @@ export function encode(state) {
   for (const [name, [x, y]] of Object.entries(state.moved)) {
     out.set(name, `${x.toFixed(2)},${y.toFixed(2)}`);
   }
-  return out.toString().replaceAll("%2C", ",");
+  if (state.answers) out.set("answers", state.answers);
+  if (state.choosing) out.set("view", "choices");
+  return out.toString().replaceAll("%2C", ",").replaceAll("%3D", "=");
 }
 
 /**
  * What a text says, as far as it says something that there is; the rest is named in `refused`.
  *
- * `known` has `scenes`, name to { first_seed, scenes }, and `policies`, name to the number of weights.
+ * `known` has `scenes`, name to { first_seed, scenes }, `policies`, name to the number of weights, and `choices`, whether
+ * there are drives to choose from.
  */
 export function decode(text, known) {
   const state = { moved: {} };
@@ -35,6 +40,8 @@ export function decode(text, known) {
     if (name === "scene" && Object.hasOwn(known.scenes, value)) state.scene = value;
     else if (name === "seed" && /^\d{1,9}$/.test(value)) state.seed = Number(value);
     else if (name === "policy" && Object.hasOwn(known.policies, value)) state.policy = value;
+    else if (name === "answers" && known.choices && ANSWERS.test(value)) state.answers = value;
+    else if (name === "view" && known.choices && value === "choices") state.choosing = true;
     else if (name === "person" && MOTIONS.includes(value)) state.motion = value;
     else if (name === "weights") {
       const weights = numbers(value);

@@ -42,5 +42,5 @@ const DARK = {
 /** The theme, with the colours of the objectives of a session's policy as `corners`. */
 export function themeFor(session, dark) {
   const colors = session.policy.tunable.map((name) => rgb(session.contents.objectives[name].color));
-  return { ...(dark ? DARK : LIGHT), corners: dark ? colors.map(onDark) : colors };
+  return { ...(dark ? DARK : LIGHT), dark, corners: dark ? colors.map(onDark) : colors };
 }

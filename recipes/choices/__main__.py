@@ -33,10 +33,9 @@ from ..evaluation.setting import scene_seed
 from ..evaluation.sweep import SHIPPED_POLICY, Sweep
 from ..outputs import claim_folder
 from .dialogue import KEYS, POSTERIOR, Dialogue
-from .rollouts import obtain
+from .rollouts import DRIVES, NUM_SCENES, SEED, obtain
 
 SETTING = "setting.json"
-DRIVES = Path("runs/choices/drives")
 COMMANDS = "1 left, 2 right, = same, n neither, u undo, s skip, q stop"
 
 
@@ -76,8 +75,10 @@ def main() -> None:
         help=f"{', '.join(SCENES)}, or .yaml files; each has a preference of its own (default: that of "
         "the training)",
     )
-    parser.add_argument("--scenes", type=count(2, 1000), default=60, help="scenes of each kind")
-    parser.add_argument("--seed", type=scene_seed, default=31, help="of the scenes")
+    parser.add_argument(
+        "--scenes", type=count(2, 1000), default=NUM_SCENES, help="scenes of each kind"
+    )
+    parser.add_argument("--seed", type=scene_seed, default=SEED, help="of the scenes")
     parser.add_argument("--question-seed", type=seed, default=0, help="of the questions")
     parser.add_argument("--questions", type=count(0, 1000), default=10, help="how many are asked")
     parser.add_argument("--answers", help="comma-separated, instead of typing")

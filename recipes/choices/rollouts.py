@@ -23,6 +23,12 @@ from ..evaluation.setting import Setting, choose, demonstrator
 from ..evaluation.sweep import Sweep, sweep
 from ..objectives import DEMO, PERSONAL_SPACE, known
 
+DRIVES = Path("runs/choices/drives")
+"""Where drives are kept."""
+
+NUM_SCENES, SEED = 60, 31
+"""Scenes that are asked about where nothing else is said, and their seed."""
+
 FORMAT = "1"
 MAX_STEPS = 300
 UNLIKE = 1.5

@@ -1,6 +1,7 @@
 """Build a page to play with: one HTML file, which needs no server and no network.
 
-Drag what matters to the robot, as it drives; drag the person, the goal and the boxes; record drives of your own::
+Drag what matters to the robot, as it drives; drag the person, the goal and the boxes; say which of two drives you
+like better, and it finds what matters to you; record drives of your own::
 
     python -m recipes.page
 
@@ -16,6 +17,7 @@ from pathlib import Path
 from recipes.arguments import Parser, count, existing_folder
 from recipes.outputs import choose_file
 
+from .choices import choices
 from .contents import NUM_SCENES, SCENES, SHIPPED, contents
 from .html import html
 
@@ -46,6 +48,12 @@ def main() -> None:
         help="scenes of each kind (default: %(default)s)",
     )
     parser.add_argument(
+        "--without-choices",
+        action="store_true",
+        help="leave out which drive one likes better, for which a policy that is not shipped drives for "
+        "some minutes, once",
+    )
+    parser.add_argument(
         "--output",
         type=Path,
         help="new .html file (default: runs/page/index.html, or index-2.html)",
@@ -55,7 +63,14 @@ def main() -> None:
         output = choose_file(args.output, Path("runs/page/index.html"))
         if output.suffix != ".html":
             raise ValueError(f"--output must end in .html, got {output.name!r}.")
-        text = html(contents(args.policy, args.scene, num_scenes=args.seeds))
+        held = contents(args.policy, args.scene, num_scenes=args.seeds)
+        if not args.without_choices:
+            held["choices"] = choices(args.policy[0])
+            if held["choices"] is None:
+                print(
+                    f'note: without "You choose", since drives of {args.policy[0]} cannot be compared'
+                )
+        text = html(held)
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(text)
     except (OSError, ValueError) as error:

@@ -11,7 +11,7 @@ from .modules import script
 
 SOURCES = Path(__file__).resolve().parents[2] / "page"
 
-STYLES = ("page", "floor", "panel", "small")
+STYLES = ("page", "floor", "panel", "choices", "small")
 """Of ``page/style``, in their order: what follows wins."""
 
 

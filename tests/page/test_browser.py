@@ -12,38 +12,7 @@ import pytest
 
 from envs.demonstrations import import_demonstrations
 
-SHOWCASE = "#scene=showcase&policy=navigation&person=stands"
-
-
-@pytest.fixture
-def opened(browser, page_file):
-    """A function that opens the page, with a link's part behind ``#``; afterwards nothing has gone wrong."""
-    contexts, wrong, asked = [], [], []
-
-    def open_page(link: str = SHOWCASE, width: int = 1280, height: int = 800, **kwargs):
-        context = browser.new_context(viewport={"width": width, "height": height}, **kwargs)
-        contexts.append(context)
-        context.set_default_timeout(120_000)  # a loaded machine takes its time
-        page = context.new_page()
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("console", lambda text: wrong.append(text.text) if text.type == "error" else None)
-        page.on("request", lambda request: asked.append(request.url.split(":")[0]))
-        page.goto(page_file.as_uri() + link)
-        page.wait_for_function("window.page")
-        page.evaluate("page.session.playing = false; page.session.restart()")
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert wrong == []
-    assert set(asked) <= {"file", "blob", "data"}  # it needs nobody
-
-
-def drive(page, steps: int = 300) -> np.ndarray:
-    """The robot's places ``[T, 2]`` in the next control steps, as far as the episode goes."""
-    code = "n => { const s = page.session; for (let i = 0; i < n && !s.episode.ending; i++) s.step(); return s.points; }"
-    return np.array(page.evaluate(code, steps))
+from ._browser import SHOWCASE, drive
 
 
 def drag(page, start, end) -> None:

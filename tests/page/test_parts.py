@@ -117,6 +117,7 @@ def test_a_link_comes_back_and_nonsense_is_named(call):
     known = {
         "scenes": {"static": {"first_seed": 7, "scenes": [0] * 50}},
         "policies": {"one": 3, "two": 2},
+        "choices": True,
     }
     state = {
         "scene": "static",
@@ -125,9 +126,12 @@ def test_a_link_comes_back_and_nonsense_is_named(call):
         "policy": "one",
         "motion": "walks",
         "moved": {"human": [1.25, -2.0], "box1": [0.0, 3.5]},
+        "answers": "12=n1s2u",
+        "choosing": True,
     }
     text = call("encode", state)
     assert "weights=0.2,0.5,0.3" in text
+    assert text.endswith("answers=12=n1s2u&view=choices")
     assert call("decode", f"#{text}", known) == {"state": state, "refused": []}
     bad = (
         "#seed=57&policy=two&weights=1,1,1&human=1&goal=a,b&person=flies&__proto__=1&scene=toString"
@@ -137,6 +141,11 @@ def test_a_link_comes_back_and_nonsense_is_named(call):
     assert len(answer["refused"]) == 7
     gaps = "#human=1,&goal=,2&weights=1,,1"
     assert call("decode", gaps, known)["refused"] == ["human=1,", "goal=,2", "weights=1,,1"]
+    wrong = "#answers=13&view=moon"
+    assert call("decode", wrong, known)["refused"] == ["answers=13", "view=moon"]
+    none = "#answers=12&view=choices"  # a page without drives to choose from
+    refused = call("decode", none, {**known, "choices": False})["refused"]
+    assert refused == ["answers=12", "view=choices"]
 
 
 def test_a_preference_is_for_the_objectives_of_its_policy(call, page):
