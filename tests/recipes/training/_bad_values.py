@@ -212,7 +212,7 @@ BAD = {
         (
             "reward_model.inputs",
             ["position"],
-            "'lidar', 'goal', 'human', 'human_velocity', 'action'",
+            "'lidar', 'goal', 'human', 'human_velocity', 'nobody', 'robot', 'action'",
         ),
         ("reward_model.inputs", ["human_velocity"], "some of"),
         ("reward_model.inputs", ["goal", "goal"], "repeat"),
