@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
-from envs import Faults
+import torch
+
+from envs import Faults, Robot
 from envs.catalogue import MET
+from envs.robot_ranges import ANY_ROBOT
 
 SCENE_KINDS = ("static", "moving_human", "corridor", *MET)
 
 _NOISE = {"range_noise": 0.02, "dropout": 0.02}
 _SLIP = {"velocity_noise": 0.05}
 _LATENCY = {"latency": 1}
+
+_DRAWN_BY = 29
+"""Seed of the robots below: another generator than that of any training."""
+
+
+def _robots(count: int) -> list[Robot]:
+    """Robots drawn once and for all from the ranges of ``any``."""
+    numbers = ANY_ROBOT.draw(count, torch.Generator().manual_seed(_DRAWN_BY))
+    return [
+        dataclasses.replace(ANY_ROBOT.robot(one), name=f"robot_{place}")
+        for place, one in enumerate(numbers, start=1)
+    ]
+
 
 CHANGES: dict[str, dict[str, Any]] = {
     "hsr": {"robot": "hsr"},
@@ -36,9 +53,11 @@ CHANGES: dict[str, dict[str, Any]] = {
     "human_noise": {"faults": Faults(human_noise=0.2)},
     "human_bias": {"faults": Faults(human_bias=0.3)},
     "human_lost": {"faults": Faults(human_lost=0.2)},
+    **{robot.name: {"robot": robot} for robot in _robots(10)},
 }
 """Arguments of :class:`envs.NavigationEnv` by name. ``faults``: 2 cm lidar noise, 2 % lost rays, 5 %
-velocity noise and a step of latency; ``hsr_wheels_faults``: those, on the other robot and on wheels."""
+velocity noise and a step of latency; ``hsr_wheels_faults``: those, on the other robot and on wheels;
+``robot_1`` to ``robot_10``: drawn once from the ranges of the robot ``any``."""
 
 ALL = "all"
 """Stands for every scene, and every change of the static one."""

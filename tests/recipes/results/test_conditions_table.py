@@ -8,6 +8,7 @@ import pytest
 
 from envs.demonstrations import StraightDriver
 from recipes.results import conditions_table as module
+from recipes.results.conditions import condition
 from recipes.results.evaluate import evaluate
 from recipes.results.systems import untrained
 
@@ -54,3 +55,13 @@ def test_a_folder_without_evaluations(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         module.main()
     assert "No evaluation in" in capsys.readouterr().err
+
+
+def test_robots_that_were_drawn_stay_the_same():
+    robots = [condition(f"robot_{place}")["robot"] for place in range(1, 11)]
+    assert len(set(robots)) == 10
+    first = robots[0]
+    assert (first.name, round(first.radius, 2), round(first.max_speed, 2)) == ("robot_1", 0.15, 0.95)
+    for robot in robots:
+        assert 0.12 <= robot.radius <= 0.35 and 0.25 <= robot.max_speed <= 1.0
+        assert condition(f"crossing+{robot.name}")["scene"] == "crossing"
