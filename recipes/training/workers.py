@@ -202,7 +202,8 @@ class Workers:
     def _start(self) -> None:
         section = self.cfg.collector
         workers, cpus = section.num_workers, section.worker_cpus
-        self._connect(workers * cpus)
+        address = section.ray_address or os.environ.get("RAY_ADDRESS")
+        self._owns_ray = join_cluster(address, workers * cpus) or self._owns_ray
         envs = self.problem.env.batch_size.numel() // workers
         makers = [
             WorkerEnv(
@@ -235,38 +236,53 @@ class Workers:
         remote = self._collector.remote_collectors
         self.names = self._all([worker.where.remote() for worker in remote], START_TIMEOUT)
 
-    def _connect(self, cpus: int) -> None:
-        """Join a cluster, or start one; refuse one that is too small, where workers would wait forever."""
-        ray = self.ray
-        address = self.cfg.collector.ray_address or os.environ.get("RAY_ADDRESS")
-        if not ray.is_initialized():
-            quiet = {"log_to_driver": False, "logging_level": "error"}
-            local = {
+
+def join_cluster(address: str | None, cpus: int) -> bool:
+    """Join a cluster, or start one on this machine.
+
+    Args:
+        address: ``"auto"`` or host and port; ``None`` starts one, whose CPUs are at least ``cpus``.
+        cpus: that the workers reserve.
+
+    Returns:
+        Whether the process was in none before, and is to leave it.
+
+    Raises:
+        ConnectionError: if there is none at the address.
+        ValueError: for one with fewer CPUs, where workers would wait forever.
+    """
+    import ray
+
+    joins = not ray.is_initialized()
+    if joins:
+        arguments, environment = {"address": address}, {}
+        if address is None:
+            arguments = {
+                "address": "local",
                 # Threads of the workers may be more than there are CPUs, as in one process.
                 "num_cpus": max(cpus, os.cpu_count() or 1),
                 "include_dashboard": False,
                 "_node_ip_address": "127.0.0.1",
             }
-            # A cluster of our own reports nothing to anybody.
-            reports_nothing = {"RAY_USAGE_STATS_ENABLED": "0"}
-            with (
-                _own_signals(),
-                mock.patch.dict(os.environ, reports_nothing if not address else {}),
-            ):
-                try:
-                    ray.init(address=address or "local", **quiet, **({} if address else local))
-                except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
-                    reason = str(error).strip().splitlines()[0]
-                    raise ConnectionError(
-                        f"Ray at {address or 'this machine'}: {reason}"
-                    ) from error
-            self._owns_ray = True
-        there = int(ray.cluster_resources().get("CPU", 0))
-        if there < cpus:
-            raise ValueError(
-                f"collector.num_workers times collector.worker_cpus, {cpus}, must be at most the CPUs of "
-                f"the cluster, {there}."
-            )
+            # Ray's workers are nice to everybody else: these are half of the training. And a cluster of
+            # our own reports nothing to anybody.
+            environment = {"RAY_worker_niceness": "0", "RAY_USAGE_STATS_ENABLED": "0"}
+        with _own_signals(), mock.patch.dict(os.environ, environment):
+            try:
+                ray.init(log_to_driver=False, logging_level="error", **arguments)
+            except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
+                reason = str(error).strip().splitlines()[0]
+                where = "on this machine" if address is None else f"at {address}"
+                raise ConnectionError(f"no cluster of Ray {where}: {reason}") from error
+    there = int(ray.cluster_resources().get("CPU", 0))
+    if there < cpus:
+        if joins:
+            ray.shutdown()
+        raise ValueError(
+            f"collector.num_workers times collector.worker_cpus, {cpus}, must be at most the CPUs of "
+            f"the cluster, {there}."
+        )
+    return joins
 
 
 def _reason(error: Exception) -> str:
