@@ -156,7 +156,7 @@ class Workers:
     def _batches(self) -> Iterator[TensorDictBase]:
         total, device = self.cfg.collector.total_frames, self.problem.device
         while self.frames < total and self._collector is not None:
-            self._send_weights()
+            self.send_weights()
             parts = self._all(
                 [worker.next.remote() for worker in self._collector.remote_collectors]
             )
@@ -168,7 +168,7 @@ class Workers:
             self.frames += data.numel()
             yield data
 
-    def _send_weights(self) -> None:
+    def send_weights(self) -> None:
         """Parameters and buffers, once to each machine.
 
         TorchRL's RayWeightSyncScheme sends them to each worker by a connection of its own, to the address

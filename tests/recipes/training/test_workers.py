@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 import os
 import pickle
 import signal
-from collections.abc import Iterator
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 import torch
@@ -180,6 +185,57 @@ def test_more_cpus_than_the_cluster_has_are_refused(collecting):
         ValueError, match=r"worker_cpus, 1000, must be at most the CPUs of the clus"
     ):
         iter(workers)
+
+
+def descendants(process: int) -> set[int]:
+    """Processes that a process has started, and those that they have."""
+    parents = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            parents[int(path.parent.name)] = int(path.read_text().rpartition(")")[2].split()[1])
+    found: set[int] = set()
+    while new := {one for one, parent in parents.items() if parent in found | {process}} - found:
+        found |= new
+    return found
+
+
+def eventually(condition: Callable[[], bool], seconds: float = 240) -> bool:
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.1)
+    return condition()
+
+
+@needs_ray
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_training_that_ends_leaves_no_process(number, tmp_path):
+    """SIGTERM, which Ray would take for itself, saves first; SIGKILL leaves a cluster without owner."""
+    folder = tmp_path / "run"
+    tiny = [one for one in TINY if "total_frames" not in one and "interval" not in one]
+    process = subprocess.Popen(
+        [
+            *(sys.executable, "-m", "recipes.mo_ppo.mo_ppo", "preset=nothing", *tiny, *TWO),
+            *("collector.total_frames=1_000_000", f"hydra.run.dir={folder}"),
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    steps = folder / "log_csv/scalars/train/loss_critic.csv"
+    assert eventually(steps.exists)
+    started = descendants(process.pid)
+    assert len(started) > 2
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=240)
+    assert eventually(lambda: not any(Path(f"/proc/{one}").exists() for one in started))
+    if number == signal.SIGTERM:
+        assert process.returncode == 143
+        last = errors.splitlines()[-1]
+        assert last.startswith("stopped after ") and "go on with: python -m recipes.mo_ppo" in last
+        assert "Traceback" not in errors
+        assert list((folder / "checkpoints").iterdir())
 
 
 def scalars(folder, name: str) -> list[str]:
