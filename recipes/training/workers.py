@@ -36,7 +36,12 @@ class WorkerLost(ConnectionError):
 
 
 class WorkerCollector(Collector):
-    """The collector of a worker, which can say where it is."""
+    """The collector of a worker, which can say where it is, and fail."""
+
+    def __bool__(self) -> bool:
+        # Ray asks for it when a call has failed. Without it Python asks for the length, which a collector
+        # without end does not have: the process dies, and why it failed is lost.
+        return True
 
     def where(self) -> str:
         """Process and machine."""
@@ -217,22 +222,27 @@ class Workers:
         ]
         # Of the whole training; those that are left, as workers count from 0.
         random_frames = max(0, section.get("init_random_frames", 0) - self.frames)
-        self._collector = Collector(
-            makers,
-            copy.deepcopy(self.policy).to("cpu"),
-            backend="ray",
-            num_collectors=workers,
-            sync=True,
-            frames_per_batch=section.frames_per_batch,
-            total_frames=-1,
-            init_random_frames=random_frames,
-            backend_options={
-                "collector_class": WorkerCollector,
-                "collector_kwargs": {"auto_register_policy_transforms": False},
-                "remote_configs": {"num_cpus": cpus},
-                "weight_sync_schemes": {},
-            },
-        )
+        settings = {
+            "collector_class": WorkerCollector,
+            "collector_kwargs": {"auto_register_policy_transforms": False},
+            "remote_configs": {"num_cpus": cpus},
+            "weight_sync_schemes": {},
+        }
+        exceptions = self.ray.exceptions
+        try:
+            self._collector = Collector(
+                makers,
+                copy.deepcopy(self.policy).to("cpu"),
+                backend="ray",
+                num_collectors=workers,
+                sync=True,
+                frames_per_batch=section.frames_per_batch,
+                total_frames=-1,
+                init_random_frames=random_frames,
+                backend_options=settings,
+            )
+        except (exceptions.RayActorError, exceptions.RayTaskError) as error:
+            raise WorkerLost(f"a worker {_reason(error)}") from error
         remote = self._collector.remote_collectors
         self.names = self._all([worker.where.remote() for worker in remote], START_TIMEOUT)
 

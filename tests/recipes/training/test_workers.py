@@ -174,7 +174,9 @@ def test_a_worker_that_cannot_begin_says_why(collecting):
     object.__setattr__(
         workers.problem, "make_env", functools.partial(function, elsewhere, *arguments[1:])
     )
-    with pytest.raises(WorkerLost, match=r"worker 1 of 1 has not begun: .*on_another_machine"):
+    with pytest.raises(
+        WorkerLost, match=r"^a worker has not begun: .*on_another_machine.* no such file"
+    ):
         iter(workers)
 
 
@@ -294,5 +296,5 @@ def test_pd_morl_trains_with_workers(cluster, tmp_path):
         "logger.interval=16",
         f"hydra.run.dir={tmp_path / 'run'}",
     )
-    assert (tmp_path / "run" / "policies" / "last").exists()
+    assert (tmp_path / "run" / "policies" / "000000096").exists()
     assert len(scalars(tmp_path / "run", "loss_qvalue")) == 4
