@@ -13,7 +13,9 @@ import os
 import signal
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
+from types import ModuleType
 from typing import Any
 from unittest import mock
 
@@ -27,8 +29,8 @@ from torchrl.envs import EnvBase, Transform, TransformedEnv
 
 from .evaluation import Problem
 
-START_TIMEOUT = 300.0
-"""Seconds in which all workers must have begun."""
+PATIENCE = 300.0
+"""Seconds in which other programs must have left a cluster the CPUs that the workers reserve."""
 
 
 class WorkerLost(ConnectionError):
@@ -184,18 +186,13 @@ class Workers:
         workers = self._collector.remote_collectors
         self._all([worker.update_policy_weights_.remote(reference) for worker in workers])
 
-    def _all(self, references: list, timeout: float | None = None) -> list:
+    def _all(self, references: list) -> list:
         """What every worker returns, in order; the first one that has failed is named."""
         exceptions = self.ray.exceptions
         results = []
         for worker, reference in enumerate(references):
             try:
-                results.append(self.ray.get(reference, timeout=timeout))
-            except exceptions.GetTimeoutError as error:
-                raise WorkerLost(
-                    f"worker {worker + 1} of {len(references)} has not begun after {timeout:.0f} "
-                    "seconds: the cluster is busy, or too small."
-                ) from error
+                results.append(self.ray.get(reference))
             except (exceptions.RayActorError, exceptions.RayTaskError) as error:
                 raise WorkerLost(f"{self._name(worker)} {_reason(error)}") from error
         return results
@@ -208,7 +205,7 @@ class Workers:
         section = self.cfg.collector
         workers, cpus = section.num_workers, section.worker_cpus
         address = section.ray_address or os.environ.get("RAY_ADDRESS")
-        self._owns_ray = join_cluster(address, workers * cpus) or self._owns_ray
+        self._owns_ray = join_cluster(address, workers, cpus) or self._owns_ray
         envs = self.problem.env.batch_size.numel() // workers
         makers = [
             WorkerEnv(
@@ -244,21 +241,22 @@ class Workers:
         except (exceptions.RayActorError, exceptions.RayTaskError) as error:
             raise WorkerLost(f"a worker {_reason(error)}") from error
         remote = self._collector.remote_collectors
-        self.names = self._all([worker.where.remote() for worker in remote], START_TIMEOUT)
+        self.names = self._all([worker.where.remote() for worker in remote])
 
 
-def join_cluster(address: str | None, cpus: int) -> bool:
+def join_cluster(address: str | None, workers: int, cpus: int) -> bool:
     """Join a cluster, or start one on this machine.
 
     Args:
-        address: ``"auto"`` or host and port; ``None`` starts one, whose CPUs are at least ``cpus``.
-        cpus: that the workers reserve.
+        address: ``"auto"`` or host and port; ``None`` starts one, with CPUs enough for the workers.
+        workers: that are to run there.
+        cpus: that each of them reserves.
 
     Returns:
         Whether the process was in none before, and is to leave it.
 
     Raises:
-        ConnectionError: if there is none at the address.
+        ConnectionError: if there is none at the address, or its CPUs are taken, after :data:`PATIENCE`.
         ValueError: for one with fewer CPUs, where workers would wait forever.
     """
     import ray
@@ -270,7 +268,7 @@ def join_cluster(address: str | None, cpus: int) -> bool:
             arguments = {
                 "address": "local",
                 # Threads of the workers may be more than there are CPUs, as in one process.
-                "num_cpus": max(cpus, os.cpu_count() or 1),
+                "num_cpus": max(workers * cpus, os.cpu_count() or 1),
                 "include_dashboard": False,
                 "_node_ip_address": "127.0.0.1",
             }
@@ -284,15 +282,31 @@ def join_cluster(address: str | None, cpus: int) -> bool:
                 reason = str(error).strip().splitlines()[0]
                 where = "on this machine" if address is None else f"at {address}"
                 raise ConnectionError(f"no cluster of Ray {where}: {reason}") from error
-    there = int(ray.cluster_resources().get("CPU", 0))
-    if there < cpus:
+    try:
+        _wait_for_cpus(ray, workers, cpus)
+    except (ConnectionError, ValueError):
         if joins:
             ray.shutdown()
-        raise ValueError(
-            f"collector.num_workers times collector.worker_cpus, {cpus}, must be at most the CPUs of "
-            f"the cluster, {there}."
-        )
+        raise
     return joins
+
+
+def _wait_for_cpus(ray: ModuleType, workers: int, cpus: int) -> None:
+    """Refuse a cluster that is too small, and wait for one that is busy: Ray says nothing of either."""
+    machines = [int(one["Resources"].get("CPU", 0)) for one in ray.nodes() if one["Alive"]]
+    if sum(machine // cpus for machine in machines) < workers:
+        raise ValueError(
+            f"collector.num_workers={workers} of collector.worker_cpus={cpus} do not fit into the cluster, "
+            f"whose machines have {', '.join(map(str, machines))} CPUs."
+        )
+    end = time.monotonic() + PATIENCE
+    while (free := int(ray.available_resources().get("CPU", 0))) < workers * cpus:
+        if time.monotonic() > end:
+            raise ConnectionError(
+                f"the cluster is busy: {free} of its {sum(machines)} CPUs are free after "
+                f"{PATIENCE:.0f} seconds, {workers} workers need {workers * cpus}."
+            )
+        time.sleep(0.5)
 
 
 def _reason(error: Exception) -> str:

@@ -111,7 +111,7 @@ def test_refuses_what_workers_cannot_share(overrides, line, tmp_path):
 def cluster() -> Iterator[None]:
     """One for all tests: workers join it, and it starts but once."""
     ray = pytest.importorskip("ray", reason="Ray is not installed: pip install ray")
-    assert join_cluster(None, 2)
+    assert join_cluster(None, 2, 1)
     yield
     ray.shutdown()
 
@@ -183,9 +183,7 @@ def test_a_worker_that_cannot_begin_says_why(collecting):
 @needs_ray
 def test_more_cpus_than_the_cluster_has_are_refused(collecting):
     workers, *_ = collecting("collector.worker_cpus=500")
-    with pytest.raises(
-        ValueError, match=r"worker_cpus, 1000, must be at most the CPUs of the clus"
-    ):
+    with pytest.raises(ValueError, match=r"num_workers=2 of .*worker_cpus=500 do not fit into"):
         iter(workers)
 
 
