@@ -28,10 +28,11 @@ from torch import nn
 from recipes.arguments import Parser
 from recipes.mo_ppo.start import complete
 from recipes.training.agent import make_actor
+from recipes.training.cluster import join_cluster
 from recipes.training.collection import make_collector
 from recipes.training.ppo import make_policy
 from recipes.training.task import make_task
-from recipes.training.workers import Workers, join_cluster
+from recipes.training.workers import Workers
 
 from .learner import machine
 from .output import parse_with_output
@@ -77,7 +78,7 @@ def main(arguments: list[str] | None = None) -> None:
     if min(args.rounds, args.steps, args.num_envs, *args.workers) < 1:
         parser.error("--rounds, --steps, --num-envs and --workers must be at least 1.")
 
-    join_cluster(None, sum(args.workers))
+    join_cluster(None, sum(args.workers), 1)
     rates: dict[int, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder:
         ways = {

@@ -22,10 +22,11 @@ from tensordict import TensorDict
 from recipes.mo_ppo import mo_ppo
 from recipes.pd_morl import pd_morl
 from recipes.training import on_policy
+from recipes.training.cluster import join_cluster
 from recipes.training.ppo import NoiseScale, make_policy
 from recipes.training.task import make_worker_env
 from recipes.training.validation import ConfigurationError, check_surroundings
-from recipes.training.workers import WorkerEnv, WorkerLost, Workers, join_cluster, worker_seed
+from recipes.training.workers import WorkerEnv, WorkerLost, Workers, worker_seed
 from tests._command import run_here
 from tests._mo_ppo import TINY
 from tests._workers import TWO, configuration, needs_ray, task_and_policy
@@ -185,6 +186,18 @@ def test_more_cpus_than_the_cluster_has_are_refused(collecting):
     workers, *_ = collecting("collector.worker_cpus=500")
     with pytest.raises(ValueError, match=r"num_workers=2 of .*worker_cpus=500 do not fit into"):
         iter(workers)
+
+
+@needs_ray
+def test_a_busy_cluster_is_waited_for_and_then_named(collecting, monkeypatch):
+    import ray
+
+    monkeypatch.setattr("recipes.training.cluster.PATIENCE", 1.0)
+    monkeypatch.setattr(ray, "available_resources", lambda: {"CPU": 1.0})
+    with pytest.raises(
+        ConnectionError, match=r"cluster is busy: 1 of its .* after 1 seconds, 2 wor"
+    ):
+        iter(collecting()[0])
 
 
 def descendants(process: int) -> set[int]:
