@@ -121,9 +121,9 @@ def train(
                 # Last, so that it is of a whole step; and after the small policy, if the disk is full.
                 with timeit("checkpoint"):
                     checkpoints.save(frames)
-    progress.close()
-    if command.stop_requested() and count.frames < cfg.collector.total_frames:
-        checkpoints.save(count.frames)
-        raise command.Stopped(f"after {count.frames:,} steps")
+        progress.close()
+        if command.stop_requested() and count.frames < cfg.collector.total_frames:
+            checkpoints.save(count.frames)
+            raise command.Stopped(f"after {count.frames:,} steps")
     print(logs.time_shares())
     evaluation.end(result)

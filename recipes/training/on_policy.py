@@ -171,9 +171,9 @@ def train(
                         for name, form in evaluation.shown.items()
                     }
                 )
-    progress.close()
-    if command.stop_requested() and count.frames < cfg.collector.total_frames:
-        checkpoints.save(count.frames)
-        raise command.Stopped(f"after {count.frames:,} steps")
+        progress.close()
+        if command.stop_requested() and count.frames < cfg.collector.total_frames:
+            checkpoints.save(count.frames)
+            raise command.Stopped(f"after {count.frames:,} steps")
     print(logs.time_shares())
     evaluation.end(result)
