@@ -108,6 +108,25 @@ def test_refuses_what_workers_cannot_share(overrides, line, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@needs_ray
+def test_a_cluster_that_is_not_there_is_one_line(monkeypatch):
+    import ray
+
+    def init(**arguments):
+        assert arguments["address"] == "nowhere:6379"
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        raise Exception("The current node timed out\nduring startup.")
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(ray, "init", init)
+    with pytest.raises(ConnectionError) as refused:
+        join_cluster("nowhere:6379", 1, 1)
+    line = "no cluster of Ray at nowhere:6379: The current node timed out during startup."
+    assert str(refused.value) == line
+    # Ray's own handler of SIGTERM is gone.
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[None]:
     """One for all tests: workers join it, and it starts but once."""
