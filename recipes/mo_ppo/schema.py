@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from recipes.training import ppo_schema, schema
+from recipes.training import ppo_schema, schema, worker_schema
 from recipes.training.fields import (
     Allows,
     Count,
@@ -101,7 +101,7 @@ class Demonstrations(Section):
         return self
 
 
-class Collector(ppo_schema.Collector):
+class Collector(worker_schema.Workers, ppo_schema.Collector):
     """With noise on each entry of the action."""
 
     exploration_sigma: Annotated[
@@ -194,5 +194,6 @@ class Config(Section):
         frames = self.collector.frames_per_batch
         schema.check_batches(frames, self.env.num_envs)
         schema.check_segments(self.preference.num_segments, self.env.num_envs)
+        worker_schema.check_workers(self.collector, self.env.num_envs, self.preference.num_segments)
         ppo_schema.check_batch_size(self.optim.batch_size, frames)
         return self

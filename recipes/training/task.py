@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict, TensorDictBase
 from torch import nn
 from torchrl.envs import EnvBase
@@ -52,6 +53,8 @@ class Task:
     """What the demonstrator does in the scenes of the evaluation."""
     scenes: TensorDict
     """Those scenes, see :func:`recipes.evaluation.sweep.scene_layout`."""
+    make_env: Callable[[int, int], EnvBase] | None = None
+    """Another one to train in, of a seed and a number of environments; it can be pickled."""
     facts: dict[str, Any] = dataclasses.field(default_factory=dict)
     """For the cards of its policies."""
 
@@ -90,6 +93,7 @@ def make_task(cfg: DictConfig, run_dir: Path | None = None) -> Task:
         demo_card=demo_card,
         demonstration=demonstrated(cfg, demo_card, start) if demo else None,
         scenes=scene_layout(start),
+        make_env=functools.partial(make_worker_env, cfg, preference_space, reward_model),
         # What null in the configuration became; scalarised agents have no such field.
         facts={"bfloat16": use_bfloat16(cfg.compute.get("bfloat16", False), device)},
     )
@@ -152,6 +156,19 @@ def make_train_env(
     # Never the scenes of an evaluation.
     seed = training_seed(cfg.seed)
     return make_policy_env(sampler, reward_model=reward_model, seed=seed, **cfg.env)
+
+
+def make_worker_env(
+    cfg: DictConfig,
+    preference_space: PreferenceSpace,
+    reward_model: RewardModel | None,
+    seed: int,
+    num_envs: int,
+) -> EnvBase:
+    """As :func:`make_train_env`, for a worker: fewer environments, of another seed, on its threads."""
+    env = {"num_envs": num_envs, "num_threads": cfg.collector.worker_cpus}
+    cfg = OmegaConf.merge(cfg, {"seed": seed, "env": env})
+    return make_train_env(cfg, preference_space, reward_model)
 
 
 def make_eval_env(
