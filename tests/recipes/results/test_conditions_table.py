@@ -61,7 +61,11 @@ def test_robots_that_were_drawn_stay_the_same():
     robots = [condition(f"robot_{place}")["robot"] for place in range(1, 11)]
     assert len(set(robots)) == 10
     first = robots[0]
-    assert (first.name, round(first.radius, 2), round(first.max_speed, 2)) == ("robot_1", 0.15, 0.95)
+    assert (first.name, round(first.radius, 2), round(first.max_speed, 2)) == (
+        "robot_1",
+        0.15,
+        0.95,
+    )
     for robot in robots:
         assert 0.12 <= robot.radius <= 0.35 and 0.25 <= robot.max_speed <= 1.0
         assert condition(f"crossing+{robot.name}")["scene"] == "crossing"
