@@ -90,9 +90,17 @@ def scene_from(source: str | Path | Mapping[str, Any]) -> Scene:
         FileNotFoundError: if there is no such file.
         ValueError: for a field that does not exist, is missing or is refused.
     """
+    return _scene_from(source, ())
+
+
+def _scene_from(source: str | Path | Mapping[str, Any], within: tuple[Path, ...]) -> Scene:
+    """The same, of a file that stands in the mixtures of others."""
+    file = None if isinstance(source, Mapping) else Path(source).resolve()
+    if file in within:
+        raise ValueError(f"{source} is a mixture of itself: leave it out.")
     fields = Fields(source, "scene", _FIELDS)
     if "mixture" in fields.values:
-        return _mixture(fields)
+        return _mixture(fields, within if file is None else (*within, file))
     if "people" in fields.values:
         return scene_with_people(fields)
     start = read_numbers(fields, "start", ("x", "y", "heading"), (METRES, METRES, RADIANS))
@@ -112,8 +120,8 @@ def scene_from(source: str | Path | Mapping[str, Any]) -> Scene:
     return Scene(fields.name, len(boxes), sampler, human_speed=float(speed))
 
 
-def _mixture(fields: Fields) -> Scene:
-    """One of several in each episode."""
+def _mixture(fields: Fields, within: tuple[Path, ...]) -> Scene:
+    """One of several in each episode; files are looked for beside the one that names them."""
     others = [name for name in fields.values if name not in ("name", "mixture")]
     if others:
         raise ValueError(f"{fields.where}: {others[0]} and mixture exclude each other.")
@@ -125,7 +133,11 @@ def _mixture(fields: Fields) -> Scene:
         if not (is_number(weight) and weight > 0):
             raise fields.refusal(f"mixture.{name}", "a weight above 0", weight, number_hint(weight))
         try:
-            scenes.append((get_scene(name), float(weight)))
+            if not is_description(name):
+                scene = get_scene(name)
+            else:
+                scene = _scene_from(within[-1].parent / name if within else name, within)
+            scenes.append((scene, float(weight)))
         except (OSError, ValueError) as error:
             raise ValueError(f"{fields.where}: mixture: {error}") from error
     return mixture(fields.name, scenes)
