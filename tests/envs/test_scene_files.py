@@ -328,5 +328,5 @@ def test_a_mixture_finds_files_beside_it_and_not_itself(tmp_path, monkeypatch):
     (tmp_path / "mine.yaml").write_text("mixture: {hall.yaml: 1, static: 1}")
     assert get_scene(tmp_path / "mine.yaml").num_boxes == get_scene("static").num_boxes
     (tmp_path / "hall.yaml").write_text("mixture: {mine.yaml: 1}")
-    with pytest.raises(ValueError, match="mine.yaml is a mixture of itself: leave it out"):
+    with pytest.raises(ValueError, match=r"mine\.yaml is a mixture of itself: leave it out"):
         get_scene(tmp_path / "mine.yaml")
