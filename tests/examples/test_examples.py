@@ -167,7 +167,7 @@ def test_the_files_of_the_pages_are_taken(tmp_path):
 
 
 def test_the_refusals_of_the_page_are_those_of_the_reader(tmp_path):
-    (text,) = _blocks("scene.md", "yaml")
+    text, *_ = _blocks("scene.md", "yaml")
     shown = re.findall(r"^doorway\.yaml: .*$", (PAGES / "scene.md").read_text(), re.MULTILINE)
     fixed = OmegaConf.to_container(OmegaConf.create(text))
     fixed |= {"start": [0, 0, 0], "goal": [8, 0], "human": [5, 0]}
