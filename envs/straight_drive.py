@@ -95,17 +95,19 @@ class StraightDriveValue(nn.Module):
     def forward(self, observation: Tensor) -> Tensor:
         """Values ``[*B, K]`` of observations ``[*B, D]``."""
         distance = GOAL_SCALE * observation[..., self.goal_distance]
-        if self.speed is None:
-            step, progress = self.step, 1.0
-        else:
+        step = self.step
+        if self.speed is not None:
             speed = ROBOT_SCALES[_SPEED] * observation[..., self.speed]
             step = (speed * NavigationEnv.CONTROL_PERIOD).clamp_min(1e-3)
-            progress = step / self.step
         steps = ((distance - self.goal_radius) / step).clamp_min(0.0)
         if self.gamma < 1:
             steps = (1 - self.gamma**steps) / (1 - self.gamma)
+        if self.speed is None:
+            return torch.stack([reward * steps for reward in self.rewards], dim=-1)
+        # A slower robot earns less of what is paid for progress in a step.
+        progress = steps * (step / self.step)
         values = [
-            reward * (steps * progress if is_progress else steps)
+            reward * (progress if is_progress else steps)
             for reward, is_progress in zip(self.rewards, self.of_progress)
         ]
         return torch.stack(values, dim=-1)
