@@ -28,14 +28,13 @@ from pathlib import Path
 from unittest import mock
 
 import torch
-import torchrl.collectors
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector, MultiAsyncCollector, MultiSyncCollector
 from torchrl.envs import EnvBase, RewardScaling
 
 from recipes.arguments import Parser
-from recipes.training import checkpoint, off_policy, task
+from recipes.training import collection, task
 from torchrl_morl.deploy import save_reward_model
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel
@@ -113,8 +112,8 @@ def pd_morl_batch(overlapping: bool, threads: int, frames: int, overrides: list[
     with (
         tempfile.TemporaryDirectory() as folder,
         mock.patch.object(task, "make_train_env", wraps=make_train_env) as makes,
-        mock.patch.object(off_policy, "Collector", collector),
-        mock.patch.object(off_policy, "CollectorState", NoState),
+        mock.patch.object(collection, "Collector", collector),
+        mock.patch.object(collection, "CollectorState", NoState),
     ):
         run_recipe(
             PD_MORL,
@@ -146,8 +145,8 @@ def mo_ppo_batch(two_processes: bool, num_envs: int, steps: int, batches: int) -
     with (
         tempfile.TemporaryDirectory() as folder,
         mock.patch.object(task, "make_train_env", wraps=make_train_env) as makes,
-        mock.patch.object(torchrl.collectors, "Collector", collector),
-        mock.patch.object(checkpoint, "CollectorState", NoState),
+        mock.patch.object(collection, "Collector", collector),
+        mock.patch.object(collection, "CollectorState", NoState),
     ):
         # It has learned nothing: it costs the same.
         size = OBSERVATION_SIZE + ACTION_SIZE

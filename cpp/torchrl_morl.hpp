@@ -251,6 +251,10 @@ class Policy {
     sensing.nobody = entries.pair("nobody");
     sensing.observe_human = entries.flag("observe_human");
     sensing.observe_human_velocity = entries.flag("observe_human_velocity");
+    // Files from before there were these lack them.
+    for (const char* name : {"observe_robot", "observe_nobody"})
+      if (entries.has(name) && entries.flag(name))
+        throw files::broken("sensing", std::string(name) + " must be false: C++ has no such input, export to ONNX");
     if (entries.integer("history") != 1)
       throw files::broken("sensing", "history must be 1: this version has no memory");
     speed = config.object("limits").pair("speed");

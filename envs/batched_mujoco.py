@@ -47,7 +47,7 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
     Subclasses implement :meth:`_make_model`, :meth:`_sample_initial_state`,
     :meth:`_make_obs_spec`, :meth:`_make_obs`, :meth:`_make_action_spec`,
     :meth:`_make_reward_spec`, :meth:`_compute_terminated` and :meth:`_compute_reward`, and may
-    override :meth:`_prepare_ctrl`, :meth:`_on_reset` and :meth:`_before_physics`.
+    override :meth:`_prepare_ctrl`, :meth:`_on_reset` and :meth:`_simulate`.
 
     Keyword Args:
         num_envs: number of simulations, at least 1.
@@ -178,8 +178,9 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
         Called after their state was sampled or restored.
         """
 
-    def _before_physics(self) -> None:
-        """Called in each step just before the physics, to move mocap bodies."""
+    def _simulate(self) -> None:
+        """The physics of a step; subclasses move mocap bodies, or look in between."""
+        self.batch.step(nstep=self.frame_skip)
 
     # --- native batch --------------------------------------------------------------------------
 
@@ -359,8 +360,7 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
         # On so few numbers, NumPy takes a fraction of PyTorch's time.
         before = PhysicsState(*(torch.from_numpy(view.numpy().copy()) for view in self._state()))
         self._view["ctrl"].copy_(self._prepare_ctrl(action))
-        self._before_physics()
-        self.batch.step(nstep=self.frame_skip)
+        self._simulate()
         elapsed = self._elapsed.numpy()
         elapsed += 1
         after = self._state()

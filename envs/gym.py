@@ -23,6 +23,8 @@ from torchrl_morl.deploy.features import policy_transforms
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.transforms import RewardModelReward
 
+from .faults import get_faults
+from .lidar import MIN_RANGE
 from .navigation import NavigationEnv
 from .policy_env import check_policy, observed_size
 
@@ -116,6 +118,7 @@ class NavigationGymEnv(gymnasium.Env):
             period=NavigationEnv.CONTROL_PERIOD,
             observe_human=observe_human,
             observe_human_velocity=observe_human_velocity,
+            range_min=MIN_RANGE if get_faults(kwargs.get("faults")).code_beams else None,
         )
         if isinstance(reward_model, (str, Path)):
             reward_model, _ = load_reward_model(reward_model)

@@ -42,7 +42,7 @@ class Lidar:
         max_range: float,
         dtype: np.typing.DTypeLike = np.float64,
     ) -> None:
-        self.robot = robot
+        self.robot, self._offset = robot, np.empty(0)
         self.num_rays = num_rays
         self.max_range = max_range
         self.dtype = dtype
@@ -59,28 +59,50 @@ class Lidar:
         boxes: np.ndarray,
         radius: np.ndarray,
         ids: np.ndarray | None = None,
+        offset: np.ndarray | None = None,
     ) -> np.ndarray:
         """Ranges of the rays in view, metres.
 
         Args:
-            seen: goal, human and boxes from the robots, ``[2, 2 + B, n]``: metres ahead of their
-                centres, and to their left. Rays pass through the goal.
+            seen: goal, people and boxes from the robots, ``[2, 1 + P + B, n]``: metres ahead of
+                their centres, and to their left. Rays pass through the goal.
             cos: of the robots' headings, ``[n]``.
             sin: of the robots' headings, ``[n]``.
             boxes: of all ``N`` environments, ``[N, B, 5]``: x, y, heading, half length, half width.
-            radius: of circles around human and boxes, ``[1 + B, N]``, metres.
+            radius: of circles around people and boxes, ``[P + B, N]``, metres.
             ids: which environments the ``n`` robots are in; ``None`` for all.
+            offset: of the lidars, where they differ, ``[n]``, metres ahead of the centres.
 
         Returns:
             ``[n, rays in view]``, from a millimetre to ``max_range``.
         """
         rows = np.arange(len(cos)) if ids is None else ids
         ranges = np.full((len(rows), self.num_rays), self.max_range, self.dtype)
-        _cast(ranges, seen, cos, sin, rows, boxes, radius, self._rays, self.robot.lidar_offset)
+        if offset is None:
+            if len(self._offset) < len(rows):
+                self._offset = np.full(len(rows), self.robot.lidar_offset)
+            offset = self._offset[: len(rows)]
+        _cast(ranges, seen, cos, sin, rows, boxes, radius, self._rays, offset)
         return ranges if len(self._ids) == self.num_rays else ranges[:, self._ids]
+
+    def limit(self, scan: np.ndarray, fov: np.ndarray, reach: np.ndarray) -> np.ndarray:
+        """Whole scans ``[n, num_rays]`` of lidars that see less: what they miss is no return.
+
+        Args:
+            scan: it is changed in place.
+            fov: of each, ``[n]``, radians.
+            reach: of each, ``[n]``, metres.
+        """
+        angle = 2 * math.pi * np.arange(self.num_rays) / self.num_rays
+        away = np.minimum(angle, 2 * math.pi - angle)
+        missed = (away > fov[:, None] / 2 + 1e-9) | (scan > reach[:, None])
+        scan[missed] = self.max_range
+        return scan
 
     def scan(self, ranges: np.ndarray) -> np.ndarray:
         """The whole revolution ``[n, num_rays]`` from the ranges of the rays in view."""
+        if self.robot.lidar_range < self.max_range:
+            ranges = np.where(ranges > self.robot.lidar_range, self.max_range, ranges)
         if len(self._ids) == self.num_rays:
             return ranges
         scan = np.full((len(ranges), self.num_rays), self.max_range, ranges.dtype)
@@ -88,7 +110,7 @@ class Lidar:
         return scan
 
 
-def _compiled(function: Callable) -> Callable:
+def compiled(function: Callable) -> Callable:
     """Compiled on first use, a second, and kept on disk for the next process where that is possible."""
     try:
         return numba.njit(function, cache=True, nogil=True)
@@ -96,7 +118,7 @@ def _compiled(function: Callable) -> Callable:
         return numba.njit(function, nogil=True)
 
 
-@_compiled
+@compiled
 def _circle_range(x, y, u, v, radius):
     """Range from the origin along the unit vector (u, v) to a circle around (x, y)."""
     middle = x * u + y * v
@@ -108,7 +130,7 @@ def _circle_range(x, y, u, v, radius):
     return near if near >= 0.0 else math.inf
 
 
-@_compiled
+@compiled
 def _box_range(x, y, u, v, half_length, half_width):
     """Range from (x, y) along the unit vector (u, v), in the frame of the box."""
     near, far = -math.inf, math.inf
@@ -124,7 +146,7 @@ def _box_range(x, y, u, v, half_length, half_width):
     return near if near >= 0.0 else far  # from inside, where the ray leaves
 
 
-@_compiled
+@compiled
 def _rays_between_tangents(x, y, radius, max_range, num_rays):
     """First and last ray, which may count on beyond a revolution, that a circle around (x, y) can meet."""
     distance = math.hypot(x, y)
@@ -137,25 +159,32 @@ def _rays_between_tangents(x, y, radius, max_range, num_rays):
     return math.ceil((middle - half) / step), math.floor((middle + half) / step)
 
 
-@_compiled
-def _cast(ranges, seen, cos, sin, rows, boxes, radius, rays, offset):
+@compiled
+def _cast(ranges, seen, cos, sin, rows, boxes, radius, rays, offsets):
     """Lower ``ranges`` [n, rays], full of the largest one, to what the rays meet."""
     num_rays = len(rays)
+    people = seen.shape[1] - 1 - boxes.shape[1]
     for robot in range(len(rows)):
         row, scan, max_range = rows[robot], ranges[robot], ranges[robot, 0]
-        x, y, circle = seen[0, 1, robot] - offset, seen[1, 1, robot], radius[0, row]
-        first, last = _rays_between_tangents(x, y, circle + _MARGIN, max_range, num_rays)
-        for index in range(first, last + 1):
-            ray = index % num_rays
-            near = _circle_range(x, y, rays[ray, 0], rays[ray, 1], circle)
-            scan[ray] = max(min(near, scan[ray]), MIN_RANGE)
+        offset = offsets[robot]
+        for item in range(people):
+            x, y, circle = (
+                seen[0, 1 + item, robot] - offset,
+                seen[1, 1 + item, robot],
+                radius[item, row],
+            )
+            first, last = _rays_between_tangents(x, y, circle + _MARGIN, max_range, num_rays)
+            for index in range(first, last + 1):
+                ray = index % num_rays
+                near = _circle_range(x, y, rays[ray, 0], rays[ray, 1], circle)
+                scan[ray] = max(min(near, scan[ray]), MIN_RANGE)
         for item in range(boxes.shape[1]):
             x, y, box = (
-                seen[0, 2 + item, robot] - offset,
-                seen[1, 2 + item, robot],
+                seen[0, 1 + people + item, robot] - offset,
+                seen[1, 1 + people + item, robot],
                 boxes[row, item],
             )
-            around = radius[1 + item, row] + _MARGIN
+            around = radius[people + item, row] + _MARGIN
             first, last = _rays_between_tangents(x, y, around, max_range, num_rays)
             # The turn from the robot's frame into that of the box.
             c, s = math.cos(box[2]), math.sin(box[2])

@@ -8,6 +8,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl_morl.evaluation import min_human_distance, path_length, time_to_goal
 
 from .navigation import NavigationEnv
+from .people import FAR
 
 
 def trajectories(rollout: TensorDictBase) -> TensorDict:
@@ -44,8 +45,8 @@ def episode_metrics(rollout: TensorDictBase) -> TensorDict:
     Returns:
         Batch size ``[*B]``. Bool: ``success``, ``collision_human``, ``collision_obstacle``,
         ``timeout``, of which exactly one is true. Float: ``time`` (s, NaN unless successful),
-        ``min_human_distance`` (m, between centres), ``path_length`` (m), ``direct_distance`` (m,
-        from the start to the goal).
+        ``min_human_distance`` (m, between centres, NaN where nobody is), ``path_length`` (m),
+        ``direct_distance`` (m, from the start to the goal).
 
     Raises:
         RuntimeError: if an episode of the rollout did not end.
@@ -69,11 +70,12 @@ def episode_metrics(rollout: TensorDictBase) -> TensorDict:
             "end: roll out until every episode is done."
         )
     path = trajectories(rollout)
+    nearest = min_human_distance(path["position"], path["human"], path["mask"])
     return TensorDict(
         {
             **causes,
             "time": time_to_goal(causes["success"], path["mask"], NavigationEnv.CONTROL_PERIOD),
-            "min_human_distance": min_human_distance(path["position"], path["human"], path["mask"]),
+            "min_human_distance": nearest.masked_fill(nearest > FAR / 2, torch.nan),
             "path_length": path_length(path["position"], path["mask"]),
             "direct_distance": rollout["goal"][..., 0, 0],
         },

@@ -112,15 +112,7 @@ _WORLD = """
   <worldbody>
     <geom name="floor" type="plane" size="40 40 0.1" material="floor" group="2" {floor_contact}/>
     <light directional="true" pos="0 0 10" dir="0.3 0.2 -0.9" ambient="0 0 0"
-           diffuse="0.35 0.35 0.35" specular="0 0 0" castshadow="false"/>{robot}
-    <body name="human" mocap="true">
-      <geom name="human" class="obstacle" type="cylinder" pos="0 0 {human_half}"
-            size="{human_radius} {human_half}" rgba="0.10 0.10 0.10 1"/>
-      <geom class="decoration" type="sphere" pos="0 0 {human_height}" size="0.18"
-            rgba="1 1 1 1"/>
-      <geom class="decoration" type="capsule" fromto="0.05 0 {human_height} 0.38 0 {human_height}"
-            size="0.04" rgba="0.10 0.10 0.10 1"/>
-    </body>
+           diffuse="0.35 0.35 0.35" specular="0 0 0" castshadow="false"/>{robot}{people}
     <body name="goal" mocap="true">
       <geom class="decoration" type="cylinder" pos="0 0 0.005" size="{goal_radius} 0.005"
             rgba="0.30 0.30 0.30 0.35"/>
@@ -132,6 +124,16 @@ _WORLD = """
   </actuator>
 </mujoco>
 """
+
+_PERSON = """
+    <body name="{name}" mocap="true">
+      <geom name="{name}" class="obstacle" type="cylinder" pos="0 0 {human_half}"
+            size="{human_radius} {human_half}" rgba="0.10 0.10 0.10 1"/>
+      <geom class="decoration" type="sphere" pos="0 0 {human_height}" size="0.18"
+            rgba="1 1 1 1"/>
+      <geom class="decoration" type="capsule" fromto="0.05 0 {human_height} 0.38 0 {human_height}"
+            size="0.04" rgba="0.10 0.10 0.10 1"/>
+    </body>"""
 
 _BOX = """
     <body name="box{index}" mocap="true">
@@ -155,7 +157,9 @@ def time_step(drive: Drive) -> float:
     return 0.05 if drive == "planar" else 0.01
 
 
-def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: float) -> str:
+def navigation_mjcf(
+    robot: Robot, *, drive: Drive, num_boxes: int, num_people: int = 1, goal_radius: float
+) -> str:
     """MJCF of a scene for one robot.
 
     Args:
@@ -163,11 +167,13 @@ def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: 
         drive: ``"planar"`` slides the base on two joints and a hinge under velocity servos, with
             a stiff lateral servo for the wheels' no-slip; ``"wheels"`` rolls it on the floor.
         num_boxes: boxes in the scene.
+        num_people: people in the scene: "human", and "person1" and so on.
         goal_radius: of the goal marker, metres.
 
     Raises:
         ValueError: for an unknown drive.
     """
+    names = ["human", *(f"person{index}" for index in range(1, num_people))]
     half_height = robot.height / 2
     inertia = 0.5 * robot.mass * robot.radius**2
     half_track = robot.wheel_separation / 2
@@ -219,9 +225,16 @@ def navigation_mjcf(robot: Robot, *, drive: Drive, num_boxes: int, goal_radius: 
         robot=body.format(decoration=decoration, **values),
         tendons=tendons.format(**values),
         actuators=actuators.format(**values),
+        people="".join(map(_person, names)),
+        goal_radius=goal_radius,
+        boxes="".join(_BOX.format(index=i, half=BOX_HEIGHT / 2) for i in range(num_boxes)),
+    )
+
+
+def _person(name: str) -> str:
+    return _PERSON.format(
+        name=name,
         human_half=HUMAN_HEIGHT / 2 - 0.06,
         human_height=HUMAN_HEIGHT - 0.1,
         human_radius=HUMAN_RADIUS,
-        goal_radius=goal_radius,
-        boxes="".join(_BOX.format(index=i, half=BOX_HEIGHT / 2) for i in range(num_boxes)),
     )

@@ -6,6 +6,7 @@ Task of de Heuvel et al., "Demonstration-Enhanced Adaptable Multi-Objective Robo
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,21 +21,26 @@ from torchrl.data import Bounded, Composite, Unbounded
 from torchrl_morl.arguments import check_count, is_number
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
-from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl, yaw_quaternion
+from .bodies import SceneBodies
+from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl
 from .faults import Faults, get_faults
 from .fields import shown
-from .geometry import arctan2, cos_sin
-from .lidar import MIN_RANGE, Lidar
+from .geometry import cos_sin
+from .lidar import Lidar
 from .mjcf import Drive, navigation_mjcf, time_step
 from .navigation_specs import observation_spec, snapshot_specs
 from .navigation_task import PAPER_OBJECTIVES, NavigationTask
 from .objectives import RewardConstants, check_objectives, get_rewards
+from .perception import Perception
 from .rendering import Camera
-from .robots import Robot, get_robot
+from .robot_batch import NUM_REPORTED, RobotBatch
+from .robot_ranges import RobotRanges, get_robots
+from .robots import Robot
 from .scene_files import get_scene
 from .scene_stream import SceneStream
 from .scenes import Scene
-from .views import chase_view, top_view
+from .substeps import Substeps
+from .views import chase_view, episode_view
 
 
 class NavigationEnv(BatchedMujocoEnv):
@@ -55,16 +61,13 @@ class NavigationEnv(BatchedMujocoEnv):
     ``collision_obstacle``  ``[N, 1]``    the episode ended by touching a box
     ``pose``                ``[N, 3]``    ground truth x, y (m), heading (rad): evaluation only
     ``human_pose``          ``[N, 3]``    the same for the human: evaluation only
-    ``scene``               nested        ground truth ``goal``, ``human_goal``, ``boxes``:
-                                          snapshots and figures only (not with
-                                          ``snapshots=False``)
-    ``faults``              ``[N, 4]``    amounts of the faults of the episode, as in
-                                          :class:`Faults`; only if episodes draw them, not with
-                                          ``snapshots=False``
+    ``scene``               nested        ground truth ``goal``, ``human_goal``, ``boxes``, or all
+                                          ``people``: snapshots only (not with ``snapshots=False``)
+    ``faults``              ``[N, A]``    amounts of the faults of the episode, see
+                                          :meth:`Faults.draw`; as ``scene``, if episodes draw them
     ======================  ============  =======================================================
 
-    Objectives (equations 2 to 4 of the paper, with the sign of the goal term corrected; ``rewards``
-    holds the numbers):
+    Objectives (equations 2 to 4 of the paper, the goal's sign corrected; ``rewards`` has the numbers):
 
     - core: ``125 (d[t-1] - d[t])`` for approaching the goal, ``-1000`` for a collision;
     - distance: ``-10 (2 - d_h)^2 / (2 - 0.3)^2`` while the human's centre is within 2 m;
@@ -74,20 +77,18 @@ class NavigationEnv(BatchedMujocoEnv):
     An episode terminates at the goal or in a collision and is truncated after 300 steps of 0.2 s.
 
     Keyword Args:
-        scene: a name from :data:`envs.SCENES`, a YAML file, a mapping or a :class:`envs.Scene`: see
-            :func:`envs.get_scene`.
-        robot: a name from :data:`envs.ROBOTS`, a YAML file, a mapping or a :class:`envs.Robot`: see
-            :func:`envs.get_robot`.
-        drive: ``"planar"`` (velocity servos) or ``"wheels"`` (rolling contact, several times dearer,
-            for sim-to-sim checks).
-        goal_radius: distance between the robot's centre and the goal at which it is reached, m.
+        scene: see :func:`envs.get_scene`.
+        robot: see :func:`envs.get_robots`. With ``"any"``, or ranges in place of numbers, every episode
+            draws its own, and ``action`` is in shares of its limits, from (0, -1) to (1, 1).
+        drive: ``"planar"`` (velocity servos) or ``"wheels"`` (rolling contact, several times dearer).
+        goal_radius: distance at which the goal is reached, metres.
         num_rays: lidar rays per revolution.
         max_range: range of the lidar, metres.
-        repeat_failed: share of the episodes that take place in a scene in which one has failed, for
-            training: see :class:`envs.scene_stream.SceneStream`.
-        faults: sensor and actuation faults, also as a mapping of their names to amounts.
+        repeat_failed: see :class:`envs.scene_stream.SceneStream`; for training.
+        report_robot: observe ``robot`` [N, 6], of :data:`envs.robot_ranges.DRIVEN`; robots that differ are.
+        faults: of sensors and actuation, also as a mapping.
         objectives: names from :data:`envs.OBJECTIVES`, one for each entry of the reward.
-        rewards: constants of the objectives, also as a mapping of their names to numbers.
+        rewards: constants of the objectives, also as a mapping.
         max_episode_steps: steps of 0.2 s before truncation.
         camera: ``"top"`` shows the whole scene from above, ``"chase"`` follows the robot.
         **kwargs: see :class:`BatchedMujocoEnv`.
@@ -114,12 +115,13 @@ class NavigationEnv(BatchedMujocoEnv):
         self,
         *,
         scene: str | Path | Mapping[str, Any] | Scene = "static",
-        robot: str | Path | Mapping[str, Any] | Robot = "turtlebot2",
+        robot: str | Path | Mapping[str, Any] | Robot | RobotRanges = "turtlebot2",
         drive: Drive = "planar",
         goal_radius: float = 0.3,
         num_rays: int = 720,
         max_range: float = 4.0,
         repeat_failed: float = 0.0,
+        report_robot: bool = False,
         faults: Faults | Mapping[str, Any] | None = None,
         objectives: Sequence[str] = PAPER_OBJECTIVES,
         rewards: RewardConstants | Mapping[str, Any] | None = None,
@@ -132,8 +134,9 @@ class NavigationEnv(BatchedMujocoEnv):
                 raise ValueError(f"{name} must be positive, got {shown(value)}.")
         check_count("num_rays", num_rays)
         self.scene = get_scene(scene)
-        self.robot = get_robot(robot)
-        self.drive = drive
+        self.robots = RobotBatch(get_robots(robot), kwargs.get("num_envs", 1), drive)
+        self.robot, self.drive = self.robots.largest, drive
+        self.report_robot = report_robot or self.robots.varies
         self.goal_radius = goal_radius
         self.num_rays = num_rays
         self.max_range = max_range
@@ -155,6 +158,8 @@ class NavigationEnv(BatchedMujocoEnv):
             max_range=max_range,
             dtype=np.float64 if self.faults.disturb_scans else self._array_dtype,
         )
+        absent = self.scene.num_people is not None
+        self._perception = Perception(self._lidar, self.faults, self._fault_rng, absent, self.dtype)
 
     # --- model and specs -----------------------------------------------------------------------
 
@@ -165,28 +170,37 @@ class NavigationEnv(BatchedMujocoEnv):
             self.num_envs,
             repeat_failed=self.repeat_failed,
             goal_radius=self.goal_radius,
+            robots=self.robots.ranges,
         )
+        people = self.scene.num_people or 1
         xml = navigation_mjcf(
             self.robot,
             drive=self.drive,
             num_boxes=self.scene.num_boxes,
+            num_people=people,
             goal_radius=self.goal_radius,
         )
         model = mujoco.MjModel.from_xml_string(xml)
-        self._mocap_human = int(model.body("human").mocapid[0])
-        self._mocap_goal = int(model.body("goal").mocapid[0])
-        boxes = [f"box{i}" for i in range(self.scene.num_boxes)]
-        self._mocap_boxes = [int(model.body(name).mocapid[0]) for name in boxes]
-        self._box_geoms = [model.geom(name).id for name in boxes]
+        self._bodies = SceneBodies(model, num_people=people, num_boxes=self.scene.num_boxes)
+        self._substeps = Substeps(
+            frame_skip=self.frame_skip,
+            period=self.CONTROL_PERIOD,
+            human_speed=self.scene.human_speed,
+            robot_speed=self.robot.max_speed,
+            mocap_people=self._bodies.people,
+        )
         return model
 
     def _open_batch(self) -> None:
         super()._open_batch()
-        self._box_sizes = self.batch.expand("geom_size") if self._box_geoms else None
+        self.robots.open(self.batch, self.model)
+        self._box_sizes = self._bodies.open(self.batch)
 
     def __getstate__(self) -> dict[str, Any]:
         state = super().__getstate__()
         state.pop("_box_sizes")
+        state["robots"] = copy.copy(self.robots)
+        state["robots"].close()
         return state
 
     def simulation_state(self) -> dict[str, Any]:
@@ -194,6 +208,7 @@ class NavigationEnv(BatchedMujocoEnv):
             "task": self._task.state_dict(),
             "scenes": self._scenes.state_dict(),
             "pending": self._pending.clone(),
+            "robots": self.robots.numbers.copy(),
             "faults": self._faults.clone(),
             "fault_generator": self._fault_rng.get_state(),
             "began": self._began.copy(),
@@ -204,14 +219,13 @@ class NavigationEnv(BatchedMujocoEnv):
         self._task.load_state_dict(state["task"])
         self._scenes.load_state_dict(state["scenes"])
         self._pending = state["pending"].clone()
+        self.robots.numbers[:] = state["robots"]
         self._faults = state["faults"].clone()
         self._fault_rng.set_state(state["fault_generator"])
         self._began = state["began"].copy()
 
     def _make_action_spec(self) -> Bounded:
-        turn = self.robot.max_turn_rate
-        self._action_low = torch.tensor([0.0, -turn], dtype=torch.float64)
-        self._action_high = torch.tensor([self.robot.max_speed, turn], dtype=torch.float64)
+        self._action_low, self._action_high = self.robots.action_bounds()
         return Bounded(
             low=self._action_low.to(self.dtype).repeat(self.num_envs, 1),
             high=self._action_high.to(self.dtype).repeat(self.num_envs, 1),
@@ -223,21 +237,28 @@ class NavigationEnv(BatchedMujocoEnv):
 
     def _make_obs_spec(self) -> Composite:
         n = self.num_envs
-        spec = observation_spec(n, self.num_rays, self.max_range, self.dtype)
+        spec = observation_spec(
+            n, self.num_rays, self.max_range, self.dtype, invalid_rays=self.faults.code_beams
+        )
+        if self.report_robot:
+            spec["robot"] = Unbounded(shape=(n, NUM_REPORTED), dtype=self.dtype)
         if self.snapshots:
-            spec.update(snapshot_specs(n, self.scene.num_boxes, self.faults))
+            spec.update(
+                snapshot_specs(n, self.scene, self.faults, robots_differ=self.robots.varies)
+            )
         self._task = NavigationTask(
             n,
             self.scene.num_boxes,
-            robot_radius=self.robot.radius,
+            num_people=self.scene.num_people or 1,
+            robot_radius=self.robots.radius,
             goal_radius=self.goal_radius,
             objectives=self.objectives,
             rewards=self.rewards,
         )
-        self._pending = torch.zeros(n, 2, dtype=torch.float64)
+        self._task.people[..., 5] = self.scene.human_speed
+        self._pending = torch.zeros(n, self.faults.memory, 2, dtype=torch.float64)
         self._faults = self.faults.draw(n, torch.Generator())
-        # Where robot and human were at the start: pictures show it.
-        self._began = np.zeros((n, 2, 2))
+        self._began = np.zeros((n, 2, 2))  # robot and human at the start, for pictures
         return spec
 
     def _make_state_spec(self, snapshot: Composite, observation: Composite) -> Composite:
@@ -255,10 +276,7 @@ class NavigationEnv(BatchedMujocoEnv):
         flags, elapsed = self._task.flags[rows], self._elapsed.numpy()[rows, 0]
         failed = (flags.any(1) | (elapsed >= self.max_episode_steps)) & ~flags[:, 0]
         sampled = self._scenes.deal(rows, failed, self.rng)
-        self._task.human_pose[rows] = sampled["human"]
-        self._task.goal[rows] = sampled["goal"]
-        self._task.human_goal[rows] = sampled["human_goal"]
-        self._task.boxes[rows] = sampled["boxes"]
+        self._set_scene(rows, sampled)
         self._pending.numpy()[rows] = 0.0
         if self.faults.is_random:
             self._faults[ids] = self.faults.draw(len(rows), self._fault_rng)
@@ -269,50 +287,49 @@ class NavigationEnv(BatchedMujocoEnv):
         super()._load_snapshot(ids, tensordict)
         rows = ids.numpy()
         self._scenes.forget(rows)
-        self._task.human_pose[rows] = tensordict.get("human_pose").cpu().numpy()[rows]
-        for key in ("goal", "human_goal", "boxes"):
-            getattr(self._task, key)[rows] = tensordict.get(("scene", key)).cpu().numpy()[rows]
-        if self.faults.most["latency"]:
-            self._pending[ids] = tensordict.get("pending_action").cpu()[ids]
+        scene = {key: one.cpu().numpy()[rows] for key, one in tensordict.get("scene").items()}
+        if self.scene.num_people is None:
+            scene["human"] = tensordict.get("human_pose").cpu().numpy()[rows]
+        self._set_scene(rows, scene)
+        if self.faults.memory:
+            pending = tensordict.get("pending_action").cpu()[ids]
+            self._pending[ids] = pending.unflatten(-1, (self.faults.memory, 2))
         if self.faults.is_random:
             self._faults[ids] = tensordict.get("faults").cpu()[ids]
+
+    def _set_scene(self, rows: np.ndarray, scene: Mapping[str, np.ndarray]) -> None:
+        self._task.place(rows, scene)
+        if self.robots.varies:
+            self.robots.replace(rows, scene["robot"])
 
     def _on_reset(self, ids: Tensor) -> None:
         rows, task, robots = ids.numpy(), self._task, self._view["qpos"].numpy()[:, :2]
         task.begin(rows, robots)
         self._began[rows, 0] = robots[rows]
         self._began[rows, 1] = task.human_pose[rows, :2]
-        position, rotation = self._view["mocap_pos"].numpy(), self._view["mocap_quat"].numpy()
-        position[rows, self._mocap_goal, :2] = task.goal[rows]
-        position[rows, self._mocap_human, :2] = task.human_pose[rows, :2]
-        rotation[rows, self._mocap_human] = yaw_quaternion(task.human_pose[rows, 2])
-        if not self._box_geoms:
-            return
-        boxes, each = task.boxes[rows], rows[:, None]
-        position[each, self._mocap_boxes, :2] = boxes[..., :2]
-        rotation[each, self._mocap_boxes] = yaw_quaternion(boxes[..., 2])
-        # Bounding volumes follow the new sizes only through set_const.
-        self._box_sizes[each, self._box_geoms, :2] = boxes[..., 3:]
-        self.batch.set_const(rows)
+        self._bodies.place(self._view, task, rows, self._box_sizes)
+        if self._box_sizes is not None or self.robots.varies:
+            # Bounding volumes follow the new sizes only through set_const.
+            self.batch.set_const(rows)
 
     # --- step ----------------------------------------------------------------------------------
 
     def _prepare_ctrl(self, action: Tensor) -> Tensor:
-        action = action.double()
-        if self.faults.most["latency"]:
-            late, command = self._faults[:, 3:] > 0, action
-            action = torch.where(late, self._pending, command)
-            self._pending = command.clone()
-        low, high = self._action_low, self._action_high
-        action = self.faults.disturb_velocity(action, self._faults, low, high, self._fault_rng)
+        faults = self.faults
+        action = self.robots.velocity(action.double())
+        if faults.memory or faults.scale:
+            action = faults.executed(action, self._pending, self._faults, self.CONTROL_PERIOD)
+        low, high = self.robots.velocity_bounds()
+        action = faults.disturb_velocity(action, self._faults, low, high, self._fault_rng)
         velocity = action.numpy().clip(low.numpy(), high.numpy())
         return torch.from_numpy(velocity_to_ctrl(velocity, self.drive))
 
-    def _before_physics(self) -> None:
-        if self.scene.human_speed:
-            self._task.walk(self.scene.human_speed * self.CONTROL_PERIOD)
-            human = self._task.human_pose[:, :2]
-            self._view["mocap_pos"].numpy()[:, self._mocap_human, :2] = human
+    def _simulate(self) -> None:
+        time = self._time() if self.scene.human_speed else None
+        self._substeps.advance(self.batch, self._view, self._task, time)
+
+    def _time(self, rows: slice | np.ndarray = slice(None)) -> np.ndarray:
+        return self._elapsed.numpy()[rows, 0] * self.CONTROL_PERIOD
 
     def _compute_terminated(self, state: PhysicsState, next_state: PhysicsState) -> Tensor:
         self._task.locate(next_state.qpos.numpy()[:, :2])
@@ -340,14 +357,12 @@ class NavigationEnv(BatchedMujocoEnv):
         pose = qpos_to_pose(self._view["qpos"].numpy()[rows], self.drive)
         cos, sin = cos_sin(pose[:, 2])
         seen = task.ahead_and_left(cos, sin, ids)
-        ahead, left = seen[:, :2]
-        polar = np.empty((2, len(pose), 2), self._array_dtype)
-        polar[..., 0] = task.distance[:, rows]
-        polar[..., 1] = arctan2(left, ahead)
-        goal, human = (torch.from_numpy(values).to(self.dtype) for values in polar)
+        where = task, seen, cos, sin, ids, self._faults if ids is None else self._faults[rows]
+        time = self._time(rows) if self.faults.misreport else None
+        goal, human = self._perception.polar(*where, time)
         flags = task.flags[rows].copy()
         out = {
-            "scan": self._scan(seen, cos, sin, ids),
+            "scan": self._perception.scan(*where, self.robots.differing(rows)),
             "goal": goal,
             "human": human,
             "success": torch.from_numpy(flags[:, 0:1]),
@@ -356,30 +371,18 @@ class NavigationEnv(BatchedMujocoEnv):
             "pose": torch.from_numpy(pose),
             "human_pose": torch.from_numpy(task.human_pose[rows].copy()),
         }
+        if self.report_robot:
+            out["robot"] = self.robots.report(rows).to(self.dtype)
         if self.snapshots:
-            scene = {
-                key: torch.from_numpy(getattr(task, key)[rows].copy())
-                for key in ("goal", "human_goal", "boxes")
-            }
-            out["scene"] = TensorDict(scene, batch_size=[len(pose)])
-            if self.faults.most["latency"]:
-                out["pending_action"] = self._pending[rows].clone()
+            several = self.scene.num_people is not None
+            scene = task.snapshot(rows, several=several) | self.robots.snapshot(rows)
+            tensors = {key: torch.from_numpy(one) for key, one in scene.items()}
+            out["scene"] = TensorDict(tensors, batch_size=[len(pose)])
+            if self.faults.memory:
+                out["pending_action"] = self._pending[rows].flatten(1).clone()
             if self.faults.is_random:
                 out["faults"] = self._faults[rows].clone()
         return out
-
-    def _scan(
-        self, seen: np.ndarray, cos: np.ndarray, sin: np.ndarray, ids: np.ndarray | None
-    ) -> Tensor:
-        task = self._task
-        ranges = self._lidar.cast(seen, cos, sin, task.boxes, task.radius, ids)
-        if self.faults.disturb_scans:
-            amounts = self._faults if ids is None else self._faults[ids]
-            ranges = self.faults.disturb_ranges(
-                torch.from_numpy(ranges), amounts, self.max_range, self._fault_rng
-            )
-            ranges = ranges.clamp(MIN_RANGE, self.max_range).numpy()
-        return torch.from_numpy(self._lidar.scan(ranges)).to(self.dtype)
 
     def _camera(self, camera: str | Camera, index: int, aspect: float) -> Camera | str:
         if camera not in ("top", "chase"):
@@ -388,10 +391,7 @@ class NavigationEnv(BatchedMujocoEnv):
         pose = torch.from_numpy(qpos_to_pose(qpos, self.drive)[0])
         if camera == "chase":
             return chase_view(pose, self.robot)
-        task = self._task
-        points = np.stack((*self._began[index], task.goal[index], task.human_goal[index]))
-        boxes = torch.from_numpy(task.boxes[index])
-        return top_view(torch.from_numpy(points), boxes, pose[:2], aspect)
+        return episode_view(self._task, self._began[index], index, pose[:2], aspect)
 
     def _set_seed(self, seed: int | None) -> None:
         super()._set_seed(seed)

@@ -14,22 +14,25 @@ from torchrl_morl.deploy.features import observation_parts, policy_transforms
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.transforms import PreferenceSampler, RewardModelReward
 
+from .layouts import furthest_goal
 from .lidar import MIN_RANGE
 from .navigation import NavigationEnv
-from .robots import get_robot
+from .robot_ranges import get_robots, largest
+from .robots import Robot
 from .scene_files import get_scene
 
-_OBSERVED = ("observe_human", "observe_human_velocity")
+OBSERVED = ("observe_human", "observe_human_velocity", "observe_nobody", "observe_robot")
+"""Arguments of :func:`make_policy_env` that say what the policy observes."""
 
 
 def observed(arguments: Mapping[str, Any]) -> dict[str, bool]:
     """Those of the arguments of :func:`make_policy_env` that say what the policy observes."""
-    return {name: arguments[name] for name in _OBSERVED if name in arguments}
+    return {name: arguments[name] for name in OBSERVED if name in arguments}
 
 
 def simulated(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """The other arguments of :func:`make_policy_env`: those of :class:`NavigationEnv`."""
-    return {name: value for name, value in arguments.items() if name not in _OBSERVED}
+    return {name: value for name, value in arguments.items() if name not in OBSERVED}
 
 
 def observation_size(arguments: Mapping[str, Any]) -> int:
@@ -39,16 +42,19 @@ def observation_size(arguments: Mapping[str, Any]) -> int:
 
 def sensing(arguments: Mapping[str, Any]) -> Sensing:
     """What a policy senses under these arguments of :func:`make_policy_env`."""
-    robot, max_range = get_robot(arguments.get("robot", "turtlebot2")), arguments.get("max_range")
+    robot, max_range = get_robots(arguments.get("robot", "turtlebot2")), arguments.get("max_range")
     scene = get_scene(arguments.get("scene", "static"))
     observation_parts(**observed(arguments))  # refuses what does not go together
     max_range = 4.0 if max_range is None else float(max_range)
+    far = furthest_goal(scene)
     # A human who walks towards the robot starts at the goal, one who stands between the two.
-    human_range = (0.4, 12.0 if scene.human_speed else 8.0)
+    human_range = (0.4, max(far, 12.0) if scene.human_speed else 8.0)
     return Sensing(
         max_range=max_range,
         unknown_range=max_range,
-        lidar_origin=(robot.lidar_offset, 0.0),
+        # Of robots that differ, the policy reads where it is.
+        lidar_origin=(robot.lidar_offset if isinstance(robot, Robot) else 0.0, 0.0),
+        goal_range=(0.3, max(far, 12.0)),
         human_range=human_range,
         **observed(arguments),
     )
@@ -61,10 +67,11 @@ def contract(arguments: Mapping[str, Any]) -> dict[str, Any]:
         >>> contract({"scene": "static", "robot": "hsr"})["sensing"].lidar_origin
         (0.15, 0.0)
     """
-    robot = get_robot(arguments.get("robot", "turtlebot2"))
+    robot = get_robots(arguments.get("robot", "turtlebot2"))
+    speed, turn = largest(robot).max_speed, largest(robot).max_turn_rate
     return {
         "sensing": sensing(arguments),
-        "limits": Limits((0.0, robot.max_speed), (-robot.max_turn_rate, robot.max_turn_rate)),
+        "limits": Limits((0.0, speed), (-turn, turn)),
         "period": NavigationEnv.CONTROL_PERIOD,
         "robot": robot.name,
     }
@@ -81,7 +88,10 @@ def check_policy(policy: Policy, arguments: Mapping[str, Any]) -> None:
 
 
 def lidar_geometry(env: NavigationEnv) -> LidarGeometry:
-    """The lidar of an environment, for :class:`~torchrl_morl.deploy.PolicyRunner`."""
+    """The lidar of an environment, for :class:`~torchrl_morl.deploy.PolicyRunner`.
+
+    Of robots that differ it is that of the largest.
+    """
     return LidarGeometry(
         first_angle=0.0,
         increment=2 * math.pi / env.num_rays,
@@ -100,6 +110,8 @@ def make_policy_env(
     keep_simulation: bool = False,
     observe_human: bool = True,
     observe_human_velocity: bool = False,
+    observe_nobody: bool = False,
+    observe_robot: bool = False,
     **kwargs: Any,
 ) -> TransformedEnv:
     """A :class:`NavigationEnv` as a preference-conditioned policy sees it.
@@ -116,6 +128,8 @@ def make_policy_env(
         observe_human: see :func:`policy_transforms`; the human's position itself stays in the
             rollouts, under keys that a policy does not read.
         observe_human_velocity: see :func:`policy_transforms`; for humans who walk.
+        observe_nobody: see :func:`policy_transforms`; for scenes without anybody.
+        observe_robot: see :func:`policy_transforms`; for robots that differ.
         **kwargs: see :class:`NavigationEnv`.
 
     Returns:
@@ -125,18 +139,21 @@ def make_policy_env(
     Raises:
         ValueError: for a policy that senses something else; the message says what to change.
     """
+    observes = {
+        "observe_human": observe_human,
+        "observe_human_velocity": observe_human_velocity,
+        "observe_nobody": observe_nobody,
+        "observe_robot": observe_robot,
+    }
     if policy is not None:
-        observes = {
-            "observe_human": observe_human,
-            "observe_human_velocity": observe_human_velocity,
-        }
         check_policy(policy, {**observes, **kwargs})
-    base = NavigationEnv(snapshots=keep_simulation, **kwargs)
+    base = NavigationEnv(snapshots=keep_simulation, report_robot=observe_robot, **kwargs)
     transforms = policy_transforms(
         base.max_range,
         period=base.CONTROL_PERIOD,
-        observe_human=observe_human,
-        observe_human_velocity=observe_human_velocity,
+        **observes,
+        # Invalid rays are then part of the scans.
+        range_min=MIN_RANGE if base.faults.code_beams else None,
     )
     if sampler is not None:
         transforms.append(sampler)

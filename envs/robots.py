@@ -19,6 +19,7 @@ _LIMITS = {
     "max_speed": (10.0, "m/s"),
     "max_turn_rate": (4 * math.pi, "rad/s"),
     "lidar_fov": (2 * math.pi, "radians"),
+    "lidar_range": (100.0, "metres"),
     "linear_response": (5.0, "seconds"),
     "angular_response": (5.0, "seconds"),
     "wheel_radius": (0.5, "metres"),
@@ -40,6 +41,8 @@ class Robot:
         max_turn_rate: largest turn rate to either side, rad/s, at most two revolutions a second.
         lidar_offset: how far the lidar sits ahead of the rotation centre, within the footprint.
         lidar_fov: field of view, symmetric about the heading; rays outside report no return.
+        lidar_range: how far it sees, at most 100; what is further reports no return. What no return
+            reads is an argument of the environment, ``max_range``.
         linear_response: time constant of the forward velocity servo, at most 5.
         angular_response: time constant of the turn rate servo, at most 5.
         wheel_radius: of the driven wheels (wheeled drive only), at most 0.5.
@@ -69,6 +72,7 @@ class Robot:
     angular_response: float = 0.019
     wheel_radius: float = 0.035
     wheel_separation: float = 0.23
+    lidar_range: float = 100.0
 
     def __post_init__(self) -> None:
         if not is_name(self.name):

@@ -18,7 +18,9 @@ from torchrl_morl.geometry import (
     segment_box_distance,
 )
 
+from .people import PERSON
 from .scenes import HUMAN_RADIUS, Scene
+from .ways import leads_around
 
 # Where a walking human is not in the way, metres.
 _FAR = 1e4
@@ -49,7 +51,8 @@ class Problem(NamedTuple):
         """The same, and what the field is there."""
         of_box = self.field.startswith("boxes")
         value = scenes["boxes"][row, self._box(row)] if of_box else scenes[self.field][row]
-        return f"{self.sentence(row)}, got {[round(number, 3) for number in value.tolist()]}"
+        numbers = value.flatten().tolist()
+        return f"{self.sentence(row)}, got {[round(number, 3) for number in numbers]}"
 
     def _box(self, row: int) -> int:
         return int(self.where[row].to(torch.uint8).argmax()) if self.where.ndim > 1 else 0
@@ -72,13 +75,11 @@ def checked(scenes: TensorDictBase, scene: Scene, n: int, robot_radius: float, g
         ValueError: in one line, for a missing field, a shape, a type, a number that is not finite, a
             robot, goal or human inside something, or a start that is at the goal.
     """
-    shapes = {
-        "start": (n, 3),
-        "goal": (n, 2),
-        "human": (n, 3),
-        "human_goal": (n, 2),
-        "boxes": (n, scene.num_boxes, 5),
-    }
+    shapes = {"start": (n, 3), "goal": (n, 2), "boxes": (n, scene.num_boxes, 5)}
+    if scene.num_people is None:
+        shapes |= {"human": (n, 3), "human_goal": (n, 2)}
+    else:
+        shapes["people"] = (n, scene.num_people, len(PERSON))
     if not isinstance(scenes, (TensorDictBase, Mapping)):
         raise ValueError(
             f"Scene {scene.name!r}: its sample must return a tensordict, got {type(scenes).__name__}."
@@ -90,13 +91,44 @@ def checked(scenes: TensorDictBase, scene: Scene, n: int, robot_radius: float, g
             raise ValueError(f"Scene {scene.name!r}: its sample returns no {field!r}.")
         fields[field] = value
         _check_tensor(f"Scene {scene.name!r}: {field}", value, shape, scene.num_boxes)
-    for problem in problems(fields, robot_radius, goal_radius, walks=scene.human_speed > 0):
+    for problem in _all_problems(fields, scene, robot_radius, goal_radius):
         bad = problem.scenes()
         if bad.any():
             row = int(bad.to(torch.uint8).argmax())
             sentence = problem.sentence_with_value(row, fields)
             raise ValueError(f"Scene {scene.name!r}, scene {row} of {n}: {sentence}.")
     return fields
+
+
+def _all_problems(
+    fields: dict[str, Tensor], scene: Scene, robot_radius: float, goal_radius: float
+) -> Iterator[Problem]:
+    if scene.num_people is None:
+        yield from problems(fields, robot_radius, goal_radius, walks=scene.human_speed > 0)
+    else:
+        yield from problems_of_people(fields, robot_radius, goal_radius)
+
+
+def problems_of_people(
+    scenes: Mapping[str, Tensor] | TensorDictBase, robot_radius: float, shortest_way: float
+) -> Iterator[Problem]:
+    """:func:`problems` of scenes with ``people`` [n, P, 7] in place of one human: of each of them.
+
+    Args:
+        scenes: ``start``, ``goal``, ``boxes`` and ``people``.
+        robot_radius: metres.
+        shortest_way: what is too short from start to goal, metres.
+    """
+    people = scenes["people"]
+    yield Problem("people", "must be finite", ~people.isfinite().flatten(1).all(-1))
+    timing = people[..., 5:]
+    yield Problem(
+        "people", "must have a speed and a time of 0 or more", (timing < 0).flatten(1).any(-1)
+    )
+    for one in people.unbind(1):
+        each = {name: scenes[name] for name in ("start", "goal", "boxes")}
+        each |= {"human": one[:, :3], "human_goal": one[:, 3:5]}
+        yield from problems(each, robot_radius, shortest_way, walks=True)
 
 
 def _check_tensor(name: str, value: Any, shape: tuple[int, ...], num_boxes: int) -> None:
@@ -222,13 +254,7 @@ def solvable(
     obstacles = torch.cat((boxes, human), dim=1)
     grown = torch.full(obstacles.shape[:-1], robot_radius, dtype=torch.float64)
     grown[:, -1] += HUMAN_RADIUS
-    free = (segment_box_distance(start[:, None], goal[:, None], obstacles) > grown).all(-1)
-    # Convex obstacles that stay disjoint when grown leave a connected plane.
-    first, second = torch.triu_indices(obstacles.shape[1], obstacles.shape[1], offset=1)
-    gaps = box_box_distance(obstacles[:, first], obstacles[:, second])
-    free |= (gaps > grown[:, first] + grown[:, second]).all(-1)
-    for rows in (~free).nonzero()[:, 0].split(_CHUNK):
-        free[rows] = _around_corners(start[rows], goal[rows], obstacles[rows], grown[rows])
+    free = _free_way(start, goal, obstacles, grown)
     unsure = ~free
     if exact and unsure.any():
         length = shortest_path_length(
@@ -240,6 +266,48 @@ def solvable(
             human_radius=HUMAN_RADIUS,
         )
         free[unsure] = length.isfinite()
+    return free
+
+
+def way_exists(start: Tensor, goal: Tensor, obstacles: Tensor, grown: Tensor) -> Tensor:
+    """Whether something small finds a way past boxes that are grown, bool ``[n]``; "yes" is proof.
+
+    Args:
+        start: ``[n, 2]``, metres.
+        goal: ``[n, 2]``.
+        obstacles: ``[n, M, 5]``: x, y, yaw, half length, half width.
+        grown: ``[n, M]``: by how much each is larger to all sides, metres.
+    """
+    ends = torch.stack((start, goal), dim=1)
+    outside = point_box_distance(ends[:, :, None], obstacles[:, None]) > grown[:, None]
+    free = outside.all(-1).all(-1)
+    rows = free.nonzero()[:, 0]
+    free[rows] = _free_way(start[rows], goal[rows], obstacles[rows], grown[rows])
+    return free
+
+
+def _free_way(start: Tensor, goal: Tensor, obstacles: Tensor, grown: Tensor) -> Tensor:
+    """The same between ends that are outside of all grown obstacles."""
+    # Boxes that are grown squarely take a hundredth of the time and settle most; the rest is looked at again.
+    larger = torch.cat((obstacles[..., :3], obstacles[..., 3:] + grown[..., None]), dim=-1)
+    free = torch.from_numpy(
+        leads_around(*(one.double().contiguous().numpy() for one in (start, goal, larger)))
+    )
+    rows = (~free).nonzero()[:, 0]
+    if len(rows):
+        free[rows] = _round_way(start[rows], goal[rows], obstacles[rows], grown[rows])
+    return free
+
+
+def _round_way(start: Tensor, goal: Tensor, obstacles: Tensor, grown: Tensor) -> Tensor:
+    """The same around obstacles that are grown with round corners, and so smaller."""
+    free = (segment_box_distance(start[:, None], goal[:, None], obstacles) > grown).all(-1)
+    # Convex obstacles that stay disjoint when grown leave a connected plane.
+    first, second = torch.triu_indices(obstacles.shape[1], obstacles.shape[1], offset=1)
+    gaps = box_box_distance(obstacles[:, first], obstacles[:, second])
+    free |= (gaps > grown[:, first] + grown[:, second]).all(-1)
+    for rows in (~free).nonzero()[:, 0].split(_CHUNK):
+        free[rows] = _around_corners(start[rows], goal[rows], obstacles[rows], grown[rows])
     return free
 
 

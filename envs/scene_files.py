@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,18 +13,25 @@ from torch import Tensor
 
 from torchrl_morl.arguments import is_number
 
+from .catalogue import SCENES
 from .fields import Fields, is_description, is_list, number_hint, shown
+from .layouts import mixture
+from .people_files import scene_with_people
 from .scene_checks import problems, solvable
-from .scenes import SCENES, Scene
+from .scene_numbers import FASTEST, METRES, RADIANS, Range, read_boxes, read_numbers
+from .scenes import Scene
 
-_FIELDS = ("name", "start", "goal", "human", "human_goal", "human_speed", "boxes")
-_BOX_FIELDS = ("at", "yaw", "size")
-
-# Coordinates and sizes beyond are millimetres by mistake, angles beyond are degrees.
-_FARTHEST = 100.0
-_FASTEST = 3.0
-_METRES = (-_FARTHEST, _FARTHEST)
-_RADIANS = (-2 * math.pi, 2 * math.pi)
+_FIELDS = (
+    "name",
+    "start",
+    "goal",
+    "human",
+    "human_goal",
+    "human_speed",
+    "people",
+    "boxes",
+    "mixture",
+)
 
 _CANDIDATES = 16
 _MAX_ROUNDS = 200
@@ -33,8 +39,6 @@ _MAX_ROUNDS = 200
 _MAX_UNSOLVABLE = 256
 # Start and goal are at least so far apart, metres: more than the radius of the goal.
 _SHORTEST_WAY = 0.5
-
-Range = tuple[float, float]
 
 
 def get_scene(scene: str | Path | Mapping[str, Any] | Scene) -> Scene:
@@ -45,7 +49,8 @@ def get_scene(scene: str | Path | Mapping[str, Any] | Scene) -> Scene:
             the same fields, or a :class:`Scene`. The fields are ``start`` (x, y, heading), ``goal``
             (x, y), ``human`` (x, y, and a heading if you like) and ``boxes``, a list of ``at`` (x, y),
             ``yaw`` and ``size`` (length, width); where the human walks, ``human_goal`` (x, y) and
-            ``human_speed``. Metres, radians, m/s. A range [low, high] in place of a number is drawn from
+            ``human_speed``; or ``people`` in place of the human, and nothing but a ``mixture`` of names
+            and weights for one of several scenes. Metres, radians, m/s. A range [low, high] in place of a number is drawn from
             in every episode.
 
     Raises:
@@ -85,22 +90,57 @@ def scene_from(source: str | Path | Mapping[str, Any]) -> Scene:
         FileNotFoundError: if there is no such file.
         ValueError: for a field that does not exist, is missing or is refused.
     """
+    return _scene_from(source, ())
+
+
+def _scene_from(source: str | Path | Mapping[str, Any], within: tuple[Path, ...]) -> Scene:
+    """The same, of a file that stands in the mixtures of others."""
+    file = None if isinstance(source, Mapping) else Path(source).resolve()
+    if file in within:
+        raise ValueError(f"{source} is a mixture of itself: leave it out.")
     fields = Fields(source, "scene", _FIELDS)
-    start = _numbers(fields, "start", ("x", "y", "heading"), (_METRES, _METRES, _RADIANS))
-    goal = _numbers(fields, "goal", ("x", "y"), (_METRES, _METRES))
+    if "mixture" in fields.values:
+        return _mixture(fields, within if file is None else (*within, file))
+    if "people" in fields.values:
+        return scene_with_people(fields)
+    start = read_numbers(fields, "start", ("x", "y", "heading"), (METRES, METRES, RADIANS))
+    goal = read_numbers(fields, "goal", ("x", "y"), (METRES, METRES))
     human, heading = _human(fields)
     speed = fields.values.get("human_speed", 0.0)
-    if not (is_number(speed) and 0 <= speed <= _FASTEST):
-        allowed = f"a number of m/s from 0 to {_FASTEST:g}"
+    if not (is_number(speed) and 0 <= speed <= FASTEST):
+        allowed = f"a number of m/s from 0 to {FASTEST:g}"
         raise fields.refusal("human_speed", allowed, speed, number_hint(speed))
     target = None
     if speed:
-        target = _numbers(fields, "human_goal", ("x", "y"), (_METRES, _METRES))
+        target = read_numbers(fields, "human_goal", ("x", "y"), (METRES, METRES))
     elif "human_goal" in fields.values:
         raise ValueError(f"{fields.where}: human_goal needs human_speed, in m/s above 0.")
-    boxes = _boxes(fields)
+    boxes = read_boxes(fields)
     sampler = SceneSampler(fields.where, start, goal, human, boxes, heading=heading, target=target)
     return Scene(fields.name, len(boxes), sampler, human_speed=float(speed))
+
+
+def _mixture(fields: Fields, within: tuple[Path, ...]) -> Scene:
+    """One of several in each episode; files are looked for beside the one that names them."""
+    others = [name for name in fields.values if name not in ("name", "mixture")]
+    if others:
+        raise ValueError(f"{fields.where}: {others[0]} and mixture exclude each other.")
+    weights = fields.values["mixture"]
+    if not isinstance(weights, Mapping) or not weights:
+        raise fields.refusal("mixture", "names of scenes or .yaml files with weights", weights)
+    scenes = []
+    for name, weight in weights.items():
+        if not (is_number(weight) and weight > 0):
+            raise fields.refusal(f"mixture.{name}", "a weight above 0", weight, number_hint(weight))
+        try:
+            if not is_description(name):
+                scene = get_scene(name)
+            else:
+                scene = _scene_from(within[-1].parent / name if within else name, within)
+            scenes.append((scene, float(weight)))
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{fields.where}: mixture: {error}") from error
+    return mixture(fields.name, scenes)
 
 
 def _human(fields: Fields) -> tuple[list[Range], Range | None]:
@@ -108,78 +148,12 @@ def _human(fields: Fields) -> tuple[list[Range], Range | None]:
     human = fields.values.get("human")
     if human is None:
         raise ValueError(
-            f"{fields.where}: human is missing: every scene has one. Let them stand aside, "
-            "such as human: [0, 4]."
+            f"{fields.where}: human is missing: every scene has one, such as human: [0, 4], or people, [] for nobody."
         )
     if is_list(human) and len(human) == 3:
-        ranges = _numbers(fields, "human", ("x", "y", "heading"), (_METRES, _METRES, _RADIANS))
+        ranges = read_numbers(fields, "human", ("x", "y", "heading"), (METRES, METRES, RADIANS))
         return ranges[:2], ranges[2]
-    return _numbers(fields, "human", ("x", "y"), (_METRES, _METRES)), None
-
-
-def _boxes(fields: Fields) -> list[list[Range]]:
-    """The five numbers of each box as in :class:`Scene`, with half lengths and widths."""
-    boxes = fields.values.get("boxes", [])
-    if not is_list(boxes):
-        raise fields.refusal("boxes", "a list of {at, yaw, size}", boxes)
-    out = []
-    for index, box in enumerate(boxes):
-        at = f"boxes[{index}]"
-        if not isinstance(box, Mapping):
-            raise fields.refusal(at, "fields {at, yaw, size}", box)
-        fields.refuse_unknown(box, _BOX_FIELDS, f" of {at}")
-        x, y = _numbers(fields, "at", ("x", "y"), (_METRES, _METRES), box, at)
-        yaw = _number(fields, f"{at}.yaw", box.get("yaw", 0.0), _RADIANS, "radians")
-        limits = ((0.0, _FARTHEST),) * 2
-        length, width = _numbers(fields, "size", ("length", "width"), limits, box, at)
-        length, width = ((low / 2, high / 2) for low, high in (length, width))
-        out.append([x, y, yaw, length, width])
-        if out[-1] in out[:-1] and all(low == high for low, high in out[-1]):
-            raise ValueError(f"{fields.where}: {at} is boxes[{out.index(out[-1])}] once more.")
-    return out
-
-
-def _numbers(
-    fields: Fields,
-    field: str,
-    names: tuple[str, ...],
-    limits: tuple[Range, ...],
-    values: Mapping[str, Any] | None = None,
-    at: str = "",
-) -> list[Range]:
-    values = fields.values if values is None else values
-    title = f"{at}.{field}" if at else field
-    what = f"[{', '.join(names)}], each a number or a range [low, high]"
-    if field not in values:
-        raise ValueError(f"{fields.where}: {title} is missing: {what}.")
-    value = values[field]
-    if not is_list(value) or len(value) != len(names):
-        raise fields.refusal(title, what, value)
-    return [
-        _number(
-            fields, f"{name} of {title}", one, ends, "radians" if ends is _RADIANS else "metres"
-        )
-        for name, one, ends in zip(names, value, limits)
-    ]
-
-
-def _number(fields: Fields, title: str, value: Any, limits: Range, unit: str) -> Range:
-    """A number, or a range of two."""
-    low, high = limits
-    ends = tuple(value) if is_list(value) else (value, value)
-    sizes = low == 0
-    allowed = f"a number of {unit} {'above 0' if sizes else f'from {low:.4g}'}"
-    allowed += f"{' and at most' if sizes else ' to'} {high:.4g}, or a range [low, high] of two"
-    bad = next((end for end in ends if not is_number(end)), None)
-    if len(ends) != 2 or bad is not None:
-        raise fields.refusal(title, allowed, value, number_hint(bad))
-    if not all(low <= end <= high and (end > 0 or not sizes) for end in ends):
-        degrees = unit == "radians" and all(abs(end) <= 360 for end in ends)
-        hint = f"{ends[1]:g} degrees are {math.radians(ends[1]):.4g}." if degrees else ""
-        raise fields.refusal(title, allowed, value, hint)
-    if ends[0] > ends[1]:
-        raise fields.refusal(title, "a range [low, high] in ascending order", value)
-    return float(ends[0]), float(ends[1])
+    return read_numbers(fields, "human", ("x", "y"), (METRES, METRES)), None
 
 
 class SceneSampler:

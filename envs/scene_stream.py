@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from .layouts import Layout, Mixture
+from .people_files import PeopleSampler
+from .robot_ranges import RobotRanges
 from .scene_checks import checked
 from .scene_files import SceneSampler
 from .scenes import Scene
 
 SCENE_BLOCK = 64
 """Scenes are drawn in blocks, since a block costs little more than a single scene."""
+
+_MIXTURE_BLOCK = 256
+"""And the blocks of mixtures are of several scenes each."""
+
+# Where robots differ a block is drawn in parts, each for the largest of its robots, then mixed.
+_RADII = 4
+
+# Blocks that are kept, by the state of the generator before them.
+_KNOWN_BLOCKS = 4
+
+# The straight way to the goal takes at most so many seconds, half of an episode.
+_IN_TIME = 30.0
 
 # The latest failed scenes are kept.
 _CAPACITY = 2_048
@@ -33,6 +50,8 @@ class SceneStream:
         repeat_failed: share of the episodes that take place in a scene in which an episode has failed,
             once there is one.
         goal_radius: distance from the goal at which it is reached, metres.
+        robots: of which every episode draws one; then scenes have ``robot`` [n, 8], too, in the order of
+            :data:`envs.robot_ranges.DRIVEN`. They are drawn for robots up to a quarter of the range larger.
 
     Raises:
         ValueError: for a share that is not between 0 and 1, or a described scene that cannot be.
@@ -46,6 +65,7 @@ class SceneStream:
         *,
         repeat_failed: float = 0.0,
         goal_radius: float = 0.0,
+        robots: RobotRanges | None = None,
     ) -> None:
         if not 0.0 <= repeat_failed <= 1.0:
             raise ValueError(f"repeat_failed must be between 0 and 1, got {repeat_failed}.")
@@ -54,9 +74,11 @@ class SceneStream:
         self.num_envs = num_envs
         self.repeat_failed = repeat_failed
         self.goal_radius = goal_radius
-        if isinstance(scene.sample, SceneSampler):
+        self.robots = robots
+        if isinstance(scene.sample, SceneSampler | PeopleSampler):
             # Before anything is trained or written. A function of the user's may keep a count.
             scene.sample.check(robot_radius)
+        self._known_blocks: dict[bytes, tuple[dict[str, np.ndarray], Tensor]] = {}
         self.seed(0)
 
     def seed(self, seed: int) -> None:
@@ -130,13 +152,53 @@ class SceneStream:
 
     def _next(self, n: int, generator: torch.Generator) -> dict[str, np.ndarray]:
         while self._new is None or len(self._new["start"]) < n:
-            block = self.scene.sample(SCENE_BLOCK, self.robot_radius, generator)
-            block = checked(block, self.scene, SCENE_BLOCK, self.robot_radius, self.goal_radius)
-            block = {key: values.numpy() for key, values in block.items()}
+            block = self._block(generator)
             self._new = block if self._new is None else _joined(self._new, block)
         taken = {key: values[:n] for key, values in self._new.items()}
         self._new = {key: values[n:] for key, values in self._new.items()}
         return taken
+
+    def _block(self, generator: torch.Generator) -> dict[str, np.ndarray]:
+        if not isinstance(self.scene.sample, Layout | Mixture):
+            return self._drawn(generator)
+        # An evaluation begins with the same seed for every preference, and these scenes take long to find.
+        before = generator.get_state().numpy().tobytes()
+        if before in self._known_blocks:
+            block, after = self._known_blocks[before]
+            generator.set_state(after)
+            return block
+        block = self._drawn(generator)
+        self._known_blocks[before] = block, generator.get_state()
+        if len(self._known_blocks) > _KNOWN_BLOCKS:
+            del self._known_blocks[next(iter(self._known_blocks))]
+        return block
+
+    def _drawn(self, generator: torch.Generator) -> dict[str, np.ndarray]:
+        size = _MIXTURE_BLOCK if isinstance(self.scene.sample, Mixture) else SCENE_BLOCK
+        if self.robots is None:
+            block = self._sample(size, self.robot_radius, generator)
+            return {key: values.numpy() for key, values in block.items()}
+        low, high = self.robots.radius
+        ends = torch.linspace(low, high, _RADII + 1, dtype=torch.float64).tolist()
+        parts = [
+            self._with_robots(size // 2, ends[part : part + 2], generator)
+            for part in range(_RADII if high > low else 1)
+        ]
+        order = torch.randperm(sum(len(part["start"]) for part in parts), generator=generator)
+        return {key: torch.cat([part[key] for part in parts])[order].numpy() for key in parts[0]}
+
+    def _sample(self, size: int, radius: float, generator: torch.Generator) -> dict[str, Tensor]:
+        block = self.scene.sample(size, radius, generator)
+        return dict(checked(block, self.scene, size, radius, self.goal_radius))
+
+    def _with_robots(
+        self, size: int, radii: Sequence[float], generator: torch.Generator
+    ) -> dict[str, Tensor]:
+        """Scenes for the larger of two radii, with robots between them."""
+        block = self._sample(size, radii[1], generator)
+        way = (block["goal"] - block["start"][:, :2]).norm(dim=-1)
+        among = dataclasses.replace(self.robots, radius=tuple(radii))
+        return block | {"robot": among.draw(size, generator, slowest=way / _IN_TIME)}
 
 
 def _joined(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -20,7 +20,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from torchrl_morl.arguments import is_number
+from torchrl_morl.arguments import check_count, is_number
 from torchrl_morl.geometry import box_box_distance, point_box_distance, segment_box_distance
 
 from .fields import is_name, shown
@@ -46,7 +46,11 @@ class Scene:
             float64, with ``start`` [n, 3] (x, y, heading), ``goal`` [n, 2], ``human`` [n, 3],
             ``human_goal`` [n, 2] where the human walks to, and ``boxes`` [n, num_boxes, 5] (x, y,
             yaw, half length, half width).
-        human_speed: walking speed of the human, m/s; zero stands still.
+        human_speed: walking speed of the human, m/s; zero stands still. With ``num_people``, the
+            highest of them.
+        num_people: how many people each of its scenes has at most. Then ``sample`` returns ``people``
+            [n, num_people, 7] in place of ``human`` and ``human_goal``: see :mod:`envs.people`. The
+            nearest is the one whose position is reported.
 
     What ``sample`` returns is checked by the environment, see :func:`envs.scene_checks.checked`.
 
@@ -58,6 +62,7 @@ class Scene:
     num_boxes: int
     sample: Callable[[int, float, torch.Generator], TensorDict]
     human_speed: float = 0.0
+    num_people: int | None = None
 
     def __post_init__(self) -> None:
         if not is_name(self.name):
@@ -67,6 +72,8 @@ class Scene:
             raise ValueError(
                 f"Scene {self.name!r}: num_boxes must be a whole number, 0 or more, got {shown(count)}."
             )
+        if self.num_people is not None:
+            check_count(f"Scene {self.name!r}: num_people", self.num_people)
         if not callable(self.sample):
             raise ValueError(
                 f"Scene {self.name!r}: sample must be a function, got {shown(self.sample)}."
@@ -297,8 +304,3 @@ EMPTY = Scene("empty", num_boxes=0, sample=_sample_empty)
 
 SHOWCASE = Scene("showcase", num_boxes=3, sample=_sample_showcase)
 """One fixed scene, for figures."""
-
-SCENES: dict[str, Scene] = {
-    scene.name: scene
-    for scene in (STATIC, EXPLORING, MOVING_HUMAN, MIXED, CORRIDOR, EMPTY, SHOWCASE)
-}

@@ -10,10 +10,14 @@ import torch
 from torch import Tensor, nn
 
 from torchrl_morl.deploy.features import GOAL_SCALE, observation_parts
+from torchrl_morl.transforms.robot import ROBOT_SCALES
 
 from .navigation import NavigationEnv
 from .objectives import RewardConstants, get_rewards
-from .robots import Robot, get_robot
+from .robot_ranges import DRIVEN, RobotRanges, get_robots, largest
+from .robots import Robot
+
+_SPEED = DRIVEN.index("max_speed")
 
 
 class StraightDriveValue(nn.Module):
@@ -39,7 +43,10 @@ class StraightDriveValue(nn.Module):
     Keyword Args:
         gamma: discount per step, in (0, 1].
         reward_scale: factor on all rewards, as in the replay buffer.
-        robot: whose full speed it is.
+        robot: whose full speed it is; of ranges the fastest.
+        observed: what the policy observes, arguments of
+            :func:`~torchrl_morl.deploy.features.observation_parts`: with ``observe_robot`` the speed is that
+            of the robot in the observation.
         goal_radius: of the task, metres.
         rewards: constants of the objectives, as in :class:`NavigationEnv`.
 
@@ -67,24 +74,40 @@ class StraightDriveValue(nn.Module):
         *,
         gamma: float,
         reward_scale: float = 1.0,
-        robot: str | Path | Mapping[str, Any] | Robot = "turtlebot2",
+        robot: str | Path | Mapping[str, Any] | Robot | RobotRanges = "turtlebot2",
+        observed: Mapping[str, bool] | None = None,
         goal_radius: float = 0.3,
         rewards: RewardConstants | Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__()
         if not 0 < gamma <= 1:
             raise ValueError(f"gamma must be in (0, 1], got {gamma}.")
-        step = get_robot(robot).max_speed * NavigationEnv.CONTROL_PERIOD
+        step = largest(get_robots(robot)).max_speed * NavigationEnv.CONTROL_PERIOD
         constants = get_rewards(rewards)
         earned = {"core": constants.goal_reward * step, "efficiency": constants.style_penalty}
         self.rewards = tuple(reward_scale * earned.get(name, 0.0) for name in objectives)
         self.gamma, self.step, self.goal_radius = gamma, step, goal_radius
-        self.goal_distance = observation_parts()["goal"][0]
+        parts = observation_parts(**(observed or {}))
+        self.goal_distance = parts["goal"][0]
+        self.speed = parts["robot"][_SPEED] if "robot" in parts else None
+        self.of_progress = tuple(name == "core" for name in objectives)
 
     def forward(self, observation: Tensor) -> Tensor:
         """Values ``[*B, K]`` of observations ``[*B, D]``."""
         distance = GOAL_SCALE * observation[..., self.goal_distance]
-        steps = ((distance - self.goal_radius) / self.step).clamp_min(0.0)
+        step = self.step
+        if self.speed is not None:
+            speed = ROBOT_SCALES[_SPEED] * observation[..., self.speed]
+            step = (speed * NavigationEnv.CONTROL_PERIOD).clamp_min(1e-3)
+        steps = ((distance - self.goal_radius) / step).clamp_min(0.0)
         if self.gamma < 1:
             steps = (1 - self.gamma**steps) / (1 - self.gamma)
-        return torch.stack([reward * steps for reward in self.rewards], dim=-1)
+        if self.speed is None:
+            return torch.stack([reward * steps for reward in self.rewards], dim=-1)
+        # A slower robot earns less of what is paid for progress in a step.
+        progress = steps * (step / self.step)
+        values = [
+            reward * (progress if is_progress else steps)
+            for reward, is_progress in zip(self.rewards, self.of_progress)
+        ]
+        return torch.stack(values, dim=-1)

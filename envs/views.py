@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from .navigation_task import NavigationTask
+from .people import FAR
 from .rendering import Camera
 from .robots import Robot
 
@@ -26,6 +29,25 @@ def top_view(points: Tensor, boxes: Tensor, robot: Tensor, aspect: float) -> Cam
         aspect: width of the picture over its height.
     """
     return scene_view(torch.cat((points, robot[None])), boxes, aspect)
+
+
+def episode_view(
+    task: NavigationTask, began: np.ndarray, index: int, robot: Tensor, aspect: float
+) -> Camera:
+    """:func:`top_view` of an episode.
+
+    Args:
+        task: what is where.
+        began: where robot and human were at the start, ``[2, 2]``, metres.
+        index: of the episode.
+        robot: where the robot is now, ``[2]``.
+        aspect: width of the picture over its height.
+    """
+    people = task.people[index]
+    places = np.concatenate((began, task.goal[index, None], people[:, :2], people[:, 3:5]))
+    boxes = task.boxes[index]
+    places, boxes = (torch.from_numpy(one[abs(one[:, 0]) < FAR / 2]) for one in (places, boxes))
+    return top_view(places, boxes, robot, aspect)
 
 
 def scene_view(points: Tensor, boxes: Tensor, aspect: float) -> Camera:

@@ -56,7 +56,7 @@ def main() -> None:
         "--scene", help=f"{', '.join(SCENES)}, or a .yaml file (default: that of the training)"
     )
     parser.add_argument(
-        "--robot", help=f"{', '.join(ROBOTS)}, or a .yaml file (default: that of the training)"
+        "--robot", help=f"{', '.join(ROBOTS)}, any, or a .yaml file (default: that of the training)"
     )
     parser.add_argument("--drive", choices=get_args(Drive), help="default: that of the training")
     parser.add_argument("--episodes", type=episodes, default=100, help="scenes per preference")
@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--range-noise", type=number(0), default=0.0, help="lidar noise, m")
     parser.add_argument("--dropout", type=share, default=0.0, help="share of lost lidar rays")
     parser.add_argument("--velocity-noise", type=number(0), default=0.0, help="share of the range")
-    parser.add_argument("--latency", type=count(0, 1), default=0, help="control steps, 0 or 1")
+    parser.add_argument("--latency", type=count(0, 3), default=0, help="control steps, 0 to 3")
     args = parser.parse_args()
 
     torch.set_num_threads(1)
@@ -126,7 +126,10 @@ def main() -> None:
 
 def time_beside_the_straight_line(result: Sweep, setting: Setting) -> str:
     """How long the preference takes that weighs efficiency most, and what a free way would take."""
-    metrics, speed = result.metrics, setting.robot.max_speed
+    metrics = result.metrics
+    differ = "robot" in result.scenes.keys()
+    speed = result.scenes["robot"][:, 1].float() if differ else setting.robot.max_speed
+    shown = "the robot's speed" if differ else f"{speed:g} m/s"
     entry = result.preference_space.tunable.index("efficiency")
     fastest = result.preferences[:, entry].argmax()
     solved = metrics["success"][fastest]
@@ -137,7 +140,7 @@ def time_beside_the_straight_line(result: Sweep, setting: Setting) -> str:
     bound = (way / speed)[solved].mean()
     return (
         f"preference {result.preferences[fastest].tolist()}: mean time {time:.2f} s = "
-        f"{time / bound:.3f} x (start-goal distance - goal radius) / {speed:g} m/s "
+        f"{time / bound:.3f} x (start-goal distance - goal radius) / {shown} "
         f"(n = {int(solved.sum())})"
     )
 

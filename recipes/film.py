@@ -47,7 +47,7 @@ def main() -> None:
         policy = load_policy(args.policy)
         gl_context_type()  # says what to install
         # Last, as it prints: what is refused says nothing else.
-        setting = choose(policy.card, scene=args.scene, robot=args.robot)
+        setting = choose(policy.card, scene=args.scene, robot=args.robot).with_one_robot
     except (OSError, RuntimeError, ValueError) as error:
         parser.error(str(error))
     try:

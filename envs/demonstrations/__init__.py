@@ -7,6 +7,7 @@ from .drivers import (
     Driver,
     StraightDriver,
     demonstrated_paths,
+    robot_radius,
 )
 from .feasibility import Tolerances, check
 from .importer import import_demonstrations, replay
@@ -32,4 +33,5 @@ __all__ = [
     "import_demonstrations",
     "read_recordings",
     "replay",
+    "robot_radius",
 ]

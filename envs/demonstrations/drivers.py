@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -16,15 +16,18 @@ from torchrl_morl.evaluation import episode_mask
 from torchrl_morl.geometry import point_box_distance, wrap_angle
 
 from ..navigation import NavigationEnv
-from ..robots import TURTLEBOT2, Robot, get_robot
+from ..perception import NOBODY
+from ..robot_ranges import RobotRanges, get_robots, largest
+from ..robots import TURTLEBOT2, Robot
 
 
 class Driver(TensorDictModuleBase):
     """Turns towards a bearing and drives on: what scripted drivers have in common.
 
     Args:
-        speed: forward speed, m/s.
-        robot: whose limits it respects.
+        speed: forward speed, m/s; robots that are slower drive their own.
+        robot: whose limits it respects; of ranges each robot's own, from ``robot`` [*B, 6], see
+            :class:`~envs.NavigationEnv`. What is not scaled is then in shares of them.
         in_keys: what it reads.
         action_key: where the action ``[*B, 2]`` is written.
         scaled: in [-1, 1] instead of m/s and rad/s.
@@ -36,21 +39,32 @@ class Driver(TensorDictModuleBase):
     # Turn rate per radian that the robot heads off: four fifths of it are gone a step later.
     _GAIN = 0.8 / NavigationEnv.CONTROL_PERIOD
 
+    _ROBOT: ClassVar[tuple[list[NestedKey], list[NestedKey]]] = ([], ["robot"])
+    """What is read besides, of one robot and of robots that differ."""
+
     def __init__(
         self,
         speed: float,
-        robot: str | Robot,
+        robot: str | Robot | RobotRanges,
         in_keys: list[NestedKey],
         action_key: NestedKey,
         scaled: bool,
     ) -> None:
         super().__init__()
-        robot = get_robot(robot)
+        robot = get_robots(robot)
+        self.robots_differ = isinstance(robot, RobotRanges)
+        robot = largest(robot)
         if not 0 < speed <= robot.max_speed:
             raise ValueError(f"speed must be in (0, {robot.max_speed}] m/s, got {speed}.")
-        self.in_keys, self.out_keys = in_keys, [action_key]
+        self.in_keys, self.out_keys = [*in_keys, *self._ROBOT[self.robots_differ]], [action_key]
         self.speed, self.scaled = speed, scaled
         self.max_speed, self.max_turn_rate = robot.max_speed, robot.max_turn_rate
+
+    def _limits(self, tensordict: TensorDictBase) -> tuple[float | Tensor, float | Tensor]:
+        """Top speed and turn rate, m/s and rad/s: one, or one a robot ``[*B]``."""
+        if not self.robots_differ:
+            return self.max_speed, self.max_turn_rate
+        return tensordict.get("robot")[..., 1:3].unbind(-1)
 
     def _forward_speed(self, bearing: Tensor) -> Tensor:
         """Slow in corners: they are sharp in the demonstration."""
@@ -58,9 +72,18 @@ class Driver(TensorDictModuleBase):
 
     def _write(self, tensordict: TensorDictBase, forward: Tensor, turn: Tensor) -> TensorDictBase:
         """Set the action from m/s and rad/s, within the robot's limits."""
-        turn = turn.clamp(-self.max_turn_rate, self.max_turn_rate)
+        fastest, sharpest = self._limits(tensordict)
+        if self.robots_differ:
+            # A slower robot takes the same arc, more slowly, as far as it can.
+            slower = (fastest / forward.clamp_min(1e-9)).clamp_max(1.0)
+            forward, turn = forward * slower, turn * slower
+            turn = turn.maximum(-sharpest).minimum(sharpest)
+        else:
+            turn = turn.clamp(-sharpest, sharpest)
         if self.scaled:
-            forward, turn = 2 * forward / self.max_speed - 1, turn / self.max_turn_rate
+            forward, turn = 2 * forward / fastest - 1, turn / sharpest
+        elif self.robots_differ:
+            forward, turn = forward / fastest, turn / sharpest
         return tensordict.set(self.out_keys[0], torch.stack((forward, turn), dim=-1))
 
 
@@ -72,7 +95,7 @@ class _PassingDriver(Driver, abc.ABC):
         radius: float | Tensor = 1.0,
         side: Literal["left", "right"] = "left",
         speed: float = 0.5,
-        robot: str | Robot = TURTLEBOT2,
+        robot: str | Robot | RobotRanges = TURTLEBOT2,
         *,
         goal_key: NestedKey = "goal",
         human_key: NestedKey = "human",
@@ -91,7 +114,7 @@ class _PassingDriver(Driver, abc.ABC):
         mirror = 1.0 if self.side == "left" else -1.0
         goal, human = (
             polar * polar.new_tensor([1.0, mirror])
-            for polar in (tensordict.get(key) for key in self.in_keys)
+            for polar in (tensordict.get(key) for key in self.in_keys[:2])
         )
         forward, turn = self._steer(goal, human)
         return self._write(tensordict, forward, mirror * turn)
@@ -149,8 +172,9 @@ class CircleDemonstrator(_PassingDriver):
         phase = wrap_angle(_angle(towards_robot) - _angle(towards_goal))
         phase = torch.where(phase < -math.pi / 2, phase + 2 * math.pi, phase)
         # The robot leaves when the straight way out to the goal opens: turning takes it another
-        # tenth of a radian along the orbit.
-        leaving = phase <= 0.1
+        # tenth of a radian along the orbit. Where nobody is it has left already.
+        nobody = human.abs() == human.new_tensor(NOBODY)
+        leaving = (phase <= 0.1) | nobody.all(-1)
         # The corner into the orbit starts early enough to be round at the radius, not inside it.
         orbiting = ~leaving & (human_distance <= self.radius + 0.1)
         inwards = (2.0 * (human_distance - self.radius)).clamp(-0.6, 0.6)
@@ -222,7 +246,7 @@ class StraightDriver(Driver):
     def __init__(
         self,
         speed: float = 0.5,
-        robot: str | Robot = TURTLEBOT2,
+        robot: str | Robot | RobotRanges = TURTLEBOT2,
         *,
         goal_key: NestedKey = "goal",
         action_key: NestedKey = "action",
@@ -273,13 +297,23 @@ def demonstrated_paths(
         break_when_any_done=False,
         break_when_all_done=True,
     )
-    radius = env.robot.radius
     env.close()
+    radius = robot_radius(start, env.robot)
     mask = episode_mask(rollout["next", "done"])
     mask = torch.cat((torch.ones_like(mask[:, :1]), mask), dim=-1)
     position = torch.cat((rollout["pose"][:, :1], rollout["next", "pose"]), dim=1)[..., :2]
     clearance = point_box_distance(position[:, :, None], boxes[:, None])
-    touches = ((clearance <= radius) & mask[..., None]).flatten(1).any(-1)
+    touches = (
+        ((clearance <= torch.as_tensor(radius)[..., None, None]) & mask[..., None])
+        .flatten(1)
+        .any(-1)
+    )
     return TensorDict(
         {"position": position, "mask": mask, "free": ~touches}, batch_size=position.shape[:1]
     )
+
+
+def robot_radius(start: TensorDictBase, robot: Robot) -> float | Tensor:
+    """Of the robots of snapshots ``[N]``, metres: one, or ``[N]`` where they differ."""
+    scene = start["scene"]
+    return scene["robot"][..., 0] if "robot" in scene.keys() else robot.radius

@@ -10,7 +10,8 @@ from torch.nn import functional as F
 
 from torchrl_morl.geometry import wrap_angle
 
-from ..robots import TURTLEBOT2, Robot, get_robot
+from ..robot_ranges import RobotRanges, get_robots, largest
+from ..robots import TURTLEBOT2, Robot
 from .drivers import Driver
 
 PROGRESS = "path_step"
@@ -67,7 +68,7 @@ class PathDriver(Driver):
         self,
         path: Tensor,
         mask: Tensor,
-        robot: str | Robot = TURTLEBOT2,
+        robot: str | Robot | RobotRanges = TURTLEBOT2,
         *,
         lookahead: float = 0.2,
         period: float = 0.2,
@@ -85,7 +86,8 @@ class PathDriver(Driver):
             raise ValueError("a path must have at least two points: some have fewer.")
         if not lookahead > 0:
             raise ValueError(f"lookahead must be positive, got {lookahead} m.")
-        super().__init__(get_robot(robot).max_speed, robot, [pose_key], action_key, scaled)
+        fastest = largest(get_robots(robot)).max_speed
+        super().__init__(fastest, robot, [pose_key], action_key, scaled)
         self.lookahead = lookahead
         rows = torch.arange(len(path), device=path.device)
         self._last = points - 1

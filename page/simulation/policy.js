@@ -40,6 +40,8 @@ function readLayers(file) {
 export class Policy {
   constructor(description, file) {
     this.sensing = description.sensing;
+    for (const name of ["observe_robot", "observe_nobody"])
+      if (this.sensing[name]) throw new Error(`sensing.${name} must be false: a page has no such input.`);
     this.limits = description.limits;
     /** Names of the objectives that a preference weighs, in its order. */
     this.tunable = description.objectives.filter((name) => !(name in description.static));

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,8 @@ class BenchmarkProblem:
     eval_env: EnvBase
     reference: tuple[float, ...]
     """Of the hypervolume, one entry per objective."""
+    make_env: Callable[[int, int], EnvBase] | None = None
+    """Another one to train in, of a seed and a number of environments; it can be pickled."""
     facts: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
@@ -68,26 +72,40 @@ def make_problem(cfg: DictConfig) -> BenchmarkProblem:
             f"order, got {list(names)}."
         )
     preference_space = PreferenceSpace(tuple(names))
-    sampler = PreferenceSampler(
-        preference_space,
-        distribution=cfg.preference.distribution,
-        num_segments=cfg.preference.num_segments,
-        seed=cfg.seed,
-    )
-    env = TransformedEnv(base, Compose(sampler))
-    # Environments of neighbouring seeds would otherwise share all but one of their starts.
-    env.set_seed(int(np.random.SeedSequence(cfg.seed).generate_state(1)[0] >> 1))
     return BenchmarkProblem(
         run_dir=run_dir,
         device=device,
         preference_space=preference_space,
-        env=env,
+        env=_transformed(cfg, preference_space, base, cfg.seed),
         eval_env=TransformedEnv(
             _make_base(cfg, cfg.evaluation.episodes), PreferenceSampler(preference_space)
         ),
         reference=_reference(cfg, num_objectives),
+        make_env=functools.partial(make_train_env, cfg, preference_space),
         facts={"env": cfg.env, "bfloat16": use_bfloat16(cfg.compute.bfloat16, device)},
     )
+
+
+def make_train_env(
+    cfg: DictConfig, preference_space: PreferenceSpace, seed: int, num_envs: int
+) -> EnvBase:
+    """Environments to train in, with preferences of their own."""
+    return _transformed(cfg, preference_space, _make_base(cfg, num_envs), seed)
+
+
+def _transformed(
+    cfg: DictConfig, preference_space: PreferenceSpace, base: VectorMOGymEnv, seed: int
+) -> TransformedEnv:
+    sampler = PreferenceSampler(
+        preference_space,
+        distribution=cfg.preference.distribution,
+        num_segments=cfg.preference.num_segments,
+        seed=seed,
+    )
+    env = TransformedEnv(base, Compose(sampler))
+    # Environments of neighbouring seeds would otherwise share all but one of their starts.
+    env.set_seed(int(np.random.SeedSequence(seed).generate_state(1)[0] >> 1))
+    return env
 
 
 def _make_base(cfg: DictConfig, num_envs: int) -> VectorMOGymEnv:

@@ -10,7 +10,7 @@ import gymnasium
 import mo_gymnasium  # noqa: F401, registers its environments
 from pydantic import AfterValidator, Field, model_validator
 
-from recipes.training import ppo_schema, schema
+from recipes.training import ppo_schema, schema, worker_schema
 from recipes.training.fields import (
     Allows,
     Count,
@@ -117,13 +117,17 @@ class PDMORLLoss(schema.AngleLoss):
     gamma: Discount = Field(description="Discount of a step.")
 
 
+class PDMORLCollector(worker_schema.Workers, schema.NoisyCollector):
+    """With workers."""
+
+
 class PDMORLConfig(Benchmark):
     """PD-MORL."""
 
     algorithm: Literal["pd_morl"] = Field(description="What trains; mo_ppo has other fields.")
     compute: schema.CompiledCompute
     preference: schema.Preference
-    collector: schema.NoisyCollector
+    collector: PDMORLCollector
     replay_buffer: schema.ReplayBuffer
     loss: PDMORLLoss
     optim: schema.TD3Optim
@@ -132,12 +136,12 @@ class PDMORLConfig(Benchmark):
 
     @model_validator(mode="after")
     def _fits_together(self) -> PDMORLConfig:
-        _check_envs(self.collector.frames_per_batch, self.num_envs, self.preference.num_segments)
+        _check_envs(self.collector, self.num_envs, self.preference.num_segments)
         schema.check_experience(self.collector, self.replay_buffer)
         return self
 
 
-class Collector(ppo_schema.Collector):
+class Collector(worker_schema.Workers, ppo_schema.Collector):
     """With noise on continuous actions."""
 
     exploration_sigma: Positive = Field(
@@ -171,19 +175,21 @@ class MOPPOConfig(Benchmark):
 
     @model_validator(mode="after")
     def _fits_together(self) -> MOPPOConfig:
-        frames = self.collector.frames_per_batch
-        _check_envs(frames, self.num_envs, self.preference.num_segments)
-        ppo_schema.check_batch_size(self.optim.batch_size, frames)
+        _check_envs(self.collector, self.num_envs, self.preference.num_segments)
+        ppo_schema.check_batch_size(self.optim.batch_size, self.collector.frames_per_batch)
         return self
 
 
-def _check_envs(frames_per_batch: int, num_envs: int, num_segments: int | None) -> None:
-    if frames_per_batch % num_envs:
+def _check_envs(
+    collector: Collector | PDMORLCollector, num_envs: int, num_segments: int | None
+) -> None:
+    if collector.frames_per_batch % num_envs:
         raise ValueError(
             f"collector.frames_per_batch must be a multiple of num_envs, {num_envs}, "
-            f"got {frames_per_batch}."
+            f"got {collector.frames_per_batch}."
         )
     if num_segments is not None and num_segments > num_envs:
         raise ValueError(
             f"preference.num_segments must be at most num_envs, {num_envs}, got {num_segments}."
         )
+    worker_schema.check_workers(collector, num_envs, num_segments, field="num_envs")

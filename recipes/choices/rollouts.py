@@ -84,7 +84,7 @@ def obtain(
         ValueError: for a policy, a scene or a file that is refused.
     """
     policy = load_policy(policy_folder)
-    setting = choose(policy.card, scene=scene)
+    setting = choose(policy.card, scene=scene).with_one_robot
     request = Request(
         policy=file_checksum(policy_folder / "policy.safetensors"),
         setting=described(setting, scene),

@@ -14,16 +14,17 @@ import torch
 from omegaconf import DictConfig
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torch.nn import functional as F
 from torchrl.envs import ActionScaling, Compose
 
-from envs import HUMAN_RADIUS
-from envs.policy_env import observation_size
-from envs.robots import get_robot
+from envs import HUMAN_RADIUS, TURTLEBOT2, Robot, get_robots
+from envs.policy_env import observed
+from envs.robot_ranges import DRIVEN
 from torchrl_morl.deploy.features import policy_transforms
+from torchrl_morl.deploy.sensing import NUM_ROBOT
 from torchrl_morl.evaluation import steerability
 from torchrl_morl.geometry import rotate, wrap_angle
 from torchrl_morl.modules import RewardModel
+from torchrl_morl.transforms import VelocityInFrame
 
 from . import ranking, styles
 from .demonstrations import demonstrated
@@ -171,7 +172,8 @@ def heat_map(
     path: Path, cfg: DictConfig, model: RewardModel, goal: float = 4.0, extent: float = 2.5
 ) -> None:
     """R over the plane around a human, for a robot that heads as demonstrated, and opposite."""
-    radius, robot = cfg.demonstrations.radius, get_robot(cfg.env.robot)
+    robots = get_robots(cfg.env.robot)
+    radius, robot = cfg.demonstrations.radius, robots if isinstance(robots, Robot) else TURTLEBOT2
     mirror = 1.0 if cfg.demonstrations.side == "left" else -1.0
     axis = torch.linspace(-extent, extent, 101)
     x, y = torch.meshgrid(axis, axis, indexing="xy")
@@ -192,11 +194,7 @@ def heat_map(
         curve = -mirror * cfg.demonstrations.speed / radius / robot.max_turn_rate
         turn_rate = torch.where(leaving | ~orbiting, 0.0, curve)
         speed = torch.full_like(turn_rate, 2 * cfg.demonstrations.speed / robot.max_speed - 1)
-        features = observation(
-            position, heading + turned, goal, observe_human=cfg.env.observe_human
-        )
-        # The last entries are the velocity of a human who stands, if it is observed.
-        features = F.pad(features, (0, observation_size(cfg.env) - features.shape[-1]))
+        features = observation(position, heading + turned, goal, robot=robot, **observed(cfg.env))
         action = torch.stack((speed, turn_rate), dim=-1)
         data = TensorDict({"observation": features, "action": action}, batch_size=x.shape)
         score = model(data)["demo_score"].squeeze(-1)
@@ -245,14 +243,22 @@ def drives_figure(path: Path, model: RewardModel, drives: dict[str, TensorDictBa
     plt.close(fig)
 
 
-def observation(position: Tensor, heading: Tensor, goal: float, **observed: bool) -> Tensor:
+def observation(
+    position: Tensor,
+    heading: Tensor,
+    goal: float,
+    *,
+    robot: Robot = TURTLEBOT2,
+    **reads: bool,
+) -> Tensor:
     """The policy's observation ``[*B, D]`` at positions around a human, nothing else in sight.
 
     Args:
         position: of the robot, ``[*B, 2]``; the human is the origin.
         heading: ``[*B]``.
         goal: its x.
-        **observed: see :func:`~torchrl_morl.deploy.features.policy_transforms`.
+        robot: that is there.
+        **reads: see :func:`~torchrl_morl.deploy.features.policy_transforms`.
     """
     x, y = position.unbind(-1)
 
@@ -268,12 +274,21 @@ def observation(position: Tensor, heading: Tensor, goal: float, **observed: bool
     along = distance * off.cos() - (HUMAN_RADIUS**2 - aside**2).clamp_min(0.0).sqrt()
     hit = (aside.abs() <= HUMAN_RADIUS) & (off.cos() > 0) | (distance <= HUMAN_RADIUS)
     scan = along.clamp(0.0, _MAX_RANGE).masked_fill(~hit, _MAX_RANGE)
+    numbers = torch.tensor([getattr(robot, name) for name in DRIVEN[:NUM_ROBOT]]).to(x)
     sensed = TensorDict(
-        {"scan": scan, "goal": polar(goal - x, -y), "human": polar(-x, -y)}, batch_size=x.shape
+        {
+            "scan": scan,
+            "goal": polar(goal - x, -y),
+            "human": polar(-x, -y),
+            "human_velocity": torch.zeros(*x.shape, 2).to(x),  # they stand
+            "robot": numbers.expand(*x.shape, -1),
+        },
+        batch_size=x.shape,
     )
-    transforms = policy_transforms(_MAX_RANGE, **observed)
-    # It is the features that are wanted; there is no action to scale.
-    features = Compose(*(one.clone() for one in transforms if not isinstance(one, ActionScaling)))
+    transforms = policy_transforms(_MAX_RANGE, **reads)
+    # It is the features that are wanted; there is no action to scale, and no step before.
+    others = ActionScaling, VelocityInFrame
+    features = Compose(*(one.clone() for one in transforms if not isinstance(one, others)))
     return features(sensed)["observation"]
 
 

@@ -6,7 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from envs import get_robot
+from envs import get_robots
+from envs.policy_env import observed
+from envs.robot_ranges import largest
 from recipes.training.fields import (
     Allows,
     Count,
@@ -30,18 +32,20 @@ from torchrl_morl.deploy.features import observation_parts
 
 from .styles import NUM_STYLES
 
-Input = Literal["lidar", "goal", "human", "human_velocity", "action"]
+Input = Literal["lidar", "goal", "human", "human_velocity", "nobody", "robot", "action"]
 
 
 class Env(Section):
     """Where is driven."""
 
     scene: SceneField = Field(description="Where demonstrations and rollouts take place.")
-    robot: RobotField = Field(description="The robot that drives.")
+    robot: RobotField = Field(description="The robot that drives; any draws one for every episode.")
     observe_human: bool = Field(description="Whether clone and R know where the human is.")
     observe_human_velocity: bool = Field(
         description="Whether clone and R know the human's velocity."
     )
+    observe_nobody: bool = Field(description="Whether clone and R know that nobody is there.")
+    observe_robot: bool = Field(description="Whether clone and R know which robot it is.")
     num_threads: CountOrNone = Field(description="Threads of the simulator; 0 is every CPU.")
 
 
@@ -193,7 +197,7 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Config:
-        fastest = get_robot(self.env.robot).max_speed
+        fastest = largest(get_robots(self.env.robot)).max_speed
         if self.demonstrations.speed > fastest:
             raise ValueError(
                 f"demonstrations.speed must be in (0, {fastest}] m/s, the robot's, "
@@ -206,10 +210,7 @@ class Config(Section):
                 "compared with those."
             )
         seen = {
-            *observation_parts(
-                observe_human=self.env.observe_human,
-                observe_human_velocity=self.env.observe_human_velocity,
-            ),
+            *observation_parts(**observed(self.env.model_dump())),
             "action",
         }
         if not seen & set(self.reward_model.inputs):

@@ -7,11 +7,12 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, get_args
 
-from envs import Robot, Scene, get_robot, get_scene
+from envs import TURTLEBOT2, Robot, RobotRanges, Scene, get_robots, get_scene
 from envs.demonstrations import CircleDemonstrator
 from envs.fields import shown
 from envs.mjcf import Drive
 from envs.policy_env import observed
+from envs.robot_ranges import largest
 from envs.splits import TEST_SEEDS, check_test_seed
 from torchrl_morl.arguments import is_number
 from torchrl_morl.deploy import training_config
@@ -20,6 +21,9 @@ from torchrl_morl.deploy.features import observation_parts
 GOAL_RADIUS = 0.3
 """Where a card does not say otherwise, metres."""
 
+DEMONSTRATED = 0.5
+"""The same, m/s."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
@@ -27,14 +31,14 @@ class Setting:
 
     Args:
         scene: of the evaluations of the training.
-        robot: that was trained.
+        robot: that was trained, or the ranges of which every episode draws one.
         drive: of it.
         goal_radius: distance at which the goal is reached, metres.
         observed: what the policy observes, arguments of :func:`envs.policy_env.make_policy_env`.
     """
 
     scene: Scene
-    robot: Robot
+    robot: Robot | RobotRanges
     drive: Drive = "planar"
     goal_radius: float = GOAL_RADIUS
     observed: dict[str, bool] = dataclasses.field(default_factory=dict)
@@ -44,6 +48,13 @@ class Setting:
         """Of :func:`envs.policy_env.make_policy_env`."""
         names = ("scene", "robot", "drive", "goal_radius")
         return {name: getattr(self, name) for name in names} | self.observed
+
+    @property
+    def with_one_robot(self) -> Setting:
+        """The same for what shows one robot: a TurtleBot 2 where every episode draws its own."""
+        if isinstance(self.robot, Robot):
+            return self
+        return dataclasses.replace(self, robot=TURTLEBOT2)
 
     def __str__(self) -> str:
         return (
@@ -79,7 +90,7 @@ def trained_in(card: Mapping[str, Any]) -> Setting:
         raise ValueError(f"card: config.env: {error}") from error
     return Setting(
         scene=get_scene(evaluation.get("scene") or "static"),
-        robot=get_robot(env.get("robot") or "turtlebot2"),
+        robot=get_robots(env.get("robot") or "turtlebot2"),
         drive=drive,
         goal_radius=goal_radius,
         observed=seen,
@@ -101,7 +112,7 @@ def choose(
     """
     trained = trained_in(card)
     given = {"scene": scene, "robot": robot, "drive": drive}
-    parse = {"scene": get_scene, "robot": get_robot, "drive": str}
+    parse = {"scene": get_scene, "robot": get_robots, "drive": str}
     changes = {name: parse[name](value) for name, value in given.items() if value is not None}
     setting = dataclasses.replace(trained, **changes)
     demonstrator(card, setting.robot)  # what it refuses is refused before anything is said
@@ -143,8 +154,10 @@ def demonstration(card: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in given.items() if name != "robot"}
 
 
-def demonstrator(card: Mapping[str, Any], robot: Robot) -> CircleDemonstrator | None:
+def demonstrator(card: Mapping[str, Any], robot: Robot | RobotRanges) -> CircleDemonstrator | None:
     """Drives what the policy was shown, on a robot; ``None`` for recorded demonstrations, or none.
+
+    A policy of many robots was shown it by slower ones at their own speed.
 
     Raises:
         ValueError: for what no demonstrator is, or what this robot cannot drive.
@@ -152,11 +165,14 @@ def demonstrator(card: Mapping[str, Any], robot: Robot) -> CircleDemonstrator | 
     if "demonstrator" not in card:
         return None
     arguments = demonstration(card)
+    trained = training_config(card, "env").get("robot") or "turtlebot2"
+    if isinstance(get_robots(trained), RobotRanges):
+        arguments["speed"] = min(arguments.get("speed", DEMONSTRATED), largest(robot).max_speed)
     try:
         return CircleDemonstrator(**arguments, robot=robot)
     except ValueError as error:
         raise ValueError(f"card: demonstrator: {error}") from error
 
 
-def _named(value: Scene | Robot | str) -> str:
+def _named(value: Scene | Robot | RobotRanges | str) -> str:
     return value if isinstance(value, str) else value.name

@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 
-from envs.demonstrations import CircleDemonstrator, demonstrated_paths
+from envs.demonstrations import CircleDemonstrator, demonstrated_paths, robot_radius
 from envs.metrics import episode_metrics, trajectories
 from envs.policy_env import make_policy_env, simulated
 from torchrl_morl.evaluation import discrete_frechet, min_clearance, rollout_preferences
@@ -34,7 +34,7 @@ class Sweep:
     paths: TensorDict
     """``[P, N]``, see :func:`envs.metrics.trajectories`."""
     scenes: TensorDictBase
-    """``[N]``, ``start`` [N, 3], ``goal``, ``human`` [N, 3] and ``boxes``."""
+    """``[N]``, ``start`` [N, 3], ``goal``, ``human`` [N, 3] and ``boxes``; ``robot`` [N, 8] where they differ."""
     demonstration: TensorDictBase | None = None
     """``[N]``, see :func:`envs.demonstrations.demonstrated_paths`; ``None`` without a demonstrator.
     Then ``metrics`` has ``frechet``, the distance to it in metres."""
@@ -62,7 +62,8 @@ class Sweep:
             weights = "  ".join(f"{value:10.2f}" for value in preference)
             solved = int(metrics["success"].sum())
             time = f"{metrics['time'].nanmean():.2f} s ({solved})"
-            near = f"{metrics['min_human_distance'].mean():.2f} m ({count})"
+            near = metrics["min_human_distance"]
+            near = f"{near.nanmean():.2f} m ({int((~near.isnan()).sum())})"
             lines.append(
                 f"{weights}  {percent('success'):>8}  {percent('collision_human'):>9}"
                 f"  {percent('collision_obstacle'):>8}  {percent('timeout'):>8}"
@@ -135,12 +136,14 @@ def sweep(
         keep=keep,
         on_preference=on_preference,
     )
-    radius = env.base_env.robot.radius
     env.close()
     start = first[0]
     metrics, paths, demonstration = episode_metrics(rollout), trajectories(rollout), None
     metrics["min_clearance"] = min_clearance(
-        paths["position"], start["scene", "boxes"], paths["mask"], radius
+        paths["position"],
+        start["scene", "boxes"],
+        paths["mask"],
+        robot_radius(start, env.base_env.robot),
     )
     if demonstrator is not None:
         demonstration = demonstrated_paths(
@@ -163,17 +166,19 @@ def scene_layout(start: TensorDictBase) -> TensorDict:
     """What is where in scenes ``[N]``, from snapshots of a :class:`envs.NavigationEnv`.
 
     Returns:
-        ``start`` and ``human`` [N, 3], ``goal`` [N, 2], ``boxes`` [N, M, 5].
+        ``start`` and ``human`` [N, 3], ``goal`` [N, 2], ``boxes`` [N, M, 5]; where robots differ ``robot``
+        [N, 8], in the order of :data:`envs.robot_ranges.DRIVEN`.
     """
-    return TensorDict(
-        {
-            "start": start["pose"],
-            "human": start["human_pose"],
-            "goal": start["scene", "goal"],
-            "boxes": start["scene", "boxes"],
-        },
-        batch_size=start.batch_size,
-    )
+    scene = start["scene"]
+    fields = {
+        "start": start["pose"],
+        "human": start["human_pose"],
+        "goal": scene["goal"],
+        "boxes": scene["boxes"],
+    }
+    if "robot" in scene.keys():
+        fields["robot"] = scene["robot"]
+    return TensorDict(fields, batch_size=start.batch_size)
 
 
 def edge(preference_space: PreferenceSpace, first: str, second: str, steps: int = 11) -> Tensor:

@@ -66,6 +66,7 @@ def main() -> None:
                 f"{args.policy}: its file does not tell what it senses: save it again."
             )
         setting = choose(policy.card, scene=args.scene, robot=args.robot, drive=args.drive)
+        setting = setting.with_one_robot
         check_policy(policy, setting.arguments)
         simulation = LiveSimulation(policy, setting, seed=args.seed)
         server = viser.ViserServer(

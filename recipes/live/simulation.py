@@ -32,6 +32,11 @@ Motion = Literal["stands", "walks", "crosses"]
 ENDINGS = ("success", "collision_human", "collision_obstacle", "truncated")
 
 
+def one_human(scene: Scene) -> bool:
+    """Whether a scene has one human, in place of people with ways of their own."""
+    return scene.num_people is None
+
+
 class LiveSimulation:
     """A :class:`envs.NavigationEnv` of one robot, under a policy and somebody's hands.
 
@@ -46,7 +51,8 @@ class LiveSimulation:
     def __init__(self, policy: Policy, setting: Setting, *, seed: int = 0) -> None:
         self.policy, self.seed = policy, seed
         # The policy reads of these what it was trained with.
-        names = ("preference", "lidar", "goal", "human", "human_velocity")
+        names = ["preference", "lidar", "goal", "human", "human_velocity"]
+        names += ["robot"] if policy.sensing.observe_robot else []
         self._actor = TensorDictModule(
             policy.act,
             in_keys={name: name for name in names},
@@ -54,12 +60,22 @@ class LiveSimulation:
             out_to_in_map=False,
         )
         self._arguments = simulated(setting.arguments)
+        self._arguments["report_robot"] = policy.sensing.observe_robot
         count = policy.preference_space.num_tunable
         self.preference = np.full(count, 1 / count)
         self.enter(setting.scene)
 
     def enter(self, scene: Scene) -> None:
-        """Another scene, from its start."""
+        """Another scene, from its start.
+
+        Raises:
+            ValueError: for a scene of people with ways of their own.
+        """
+        if not one_human(scene):
+            raise ValueError(
+                f"--scene {scene.name} has people with ways of their own, and here one human is in your "
+                "hands: choose one with a human, such as static, moving_human or a .yaml file with human."
+            )
         # Whoever stands has arrived. With a speed of its own the scene can begin to move at any time.
         walking = dataclasses.replace(scene, human_speed=scene.human_speed or WALKING_SPEED)
         count = self.policy.preference_space.num_tunable

@@ -9,12 +9,12 @@ from typing import Any, get_args
 import numpy as np
 import viser
 
+from envs import HUMAN_RADIUS, SCENES
 from envs.drive import yaw_quaternion
 from envs.mjcf import BOX_HEIGHT, HUMAN_HEIGHT, LIDAR_HEIGHT
-from envs.scenes import HUMAN_RADIUS, SCENES
 from recipes.objectives import known, preference_colors
 
-from .simulation import LiveSimulation, Motion
+from .simulation import LiveSimulation, Motion, one_human
 
 _GREY = (150, 150, 152)
 _DARK = (40, 42, 46)
@@ -234,7 +234,8 @@ class LiveView:
                         self.weigh(entry, event.target.value / 100)
 
         with gui.add_folder("Where"):
-            names = tuple(dict.fromkeys((simulation.scene.name, *SCENES)))
+            held = [name for name, scene in SCENES.items() if one_human(scene)]
+            names = tuple(dict.fromkeys((simulation.scene.name, *held)))
             self._scene = gui.add_dropdown("scene", names, initial_value=simulation.scene.name)
             self._seed = gui.add_number("seed", simulation.seed, min=0, max=2**31 - 1, step=1)
             self._motion = gui.add_dropdown(

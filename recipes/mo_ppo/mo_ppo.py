@@ -77,7 +77,7 @@ def main(cfg: DictConfig) -> None:
     def costs(batch: TensorDictBase) -> dict[str, Tensor]:
         # Penalties are smooth: a part of the batch, which is shuffled, will do.
         part = batch[: cfg.optim.penalty_batch_size]
-        return penalties.compute(cfg, part, actor, sigma=sigma, demo=demo if anchored else None)
+        return penalties.compute(cfg, part, actor, sigma=sigma, demo=demo, anchored=anchored)
 
     on_policy.train(
         cfg,

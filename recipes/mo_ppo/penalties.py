@@ -1,8 +1,9 @@
-"""What the actor of MO-PPO pays for beside its returns: leaving a style, jerks, standing still."""
+"""What the actor of MO-PPO pays for beside its returns: leaving a style, jerks, standing still, a side."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import torch
 from omegaconf import DictConfig
@@ -11,13 +12,18 @@ from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 
 from envs import HUMAN_RADIUS
+from envs.policy_env import observed
 from torchrl_morl.deploy import Sensing
-from torchrl_morl.deploy.features import NUM_SECTORS
+from torchrl_morl.deploy.features import NUM_SECTORS, observation_parts
+from torchrl_morl.deploy.mirror import mirror_action, mirror_observation
 from torchrl_morl.geometry import wrap_angle
 from torchrl_morl.transforms import LogRange
 
 _MARGIN = 0.1
 """Radians."""
+
+_STANDING = 0.2
+"""Speed below which a human stands, as observed; people are demonstrated standing."""
 
 
 def compute(
@@ -27,8 +33,9 @@ def compute(
     *,
     sigma: Tensor,
     demo: int | None,
+    anchored: bool,
 ) -> dict[str, Tensor]:
-    """What an actor pays for beside its returns: smoothness, standing still, and the anchor.
+    """What an actor pays for beside its returns: smoothness, standing still, a side, and the anchor.
 
     Args:
         cfg: the configuration.
@@ -38,17 +45,21 @@ def compute(
     Keyword Args:
         sigma: standard deviations of the policy.
         demo: the place of the demonstrated style in the preference; ``None`` without demonstrations.
+        anchored: whether the batch says what the policy did at the start.
 
     Returns:
         Of those that are asked for, before their coefficients.
     """
     action = actor(batch.select(*actor.in_keys))["action"]
+    parts = observation_parts(**observed(cfg.env))
     found = {}
     if cfg.loss.smoothness_coeff:
         found["smoothness"] = smoothness(batch, action, actor)
     if cfg.loss.standing_coeff:
         found["standing"] = standing(action)
-    if demo is not None:
+    if cfg.loss.mirror_coeff:
+        found["mirror"] = mirror(batch, action, actor, parts=parts, demo=demo)
+    if anchored:
         # The demonstrated style is a learned reward: see config.yaml.
         found["anchor"] = anchor(
             batch,
@@ -57,6 +68,7 @@ def compute(
             objective=demo,
             radius=cfg.loss.anchor_radius,
             clearance=cfg.loss.anchor_clearance,
+            velocity=parts.get("human_velocity"),
         )
     return found
 
@@ -110,6 +122,7 @@ def anchor(
     objective: int,
     radius: float,
     clearance: float = 0.0,
+    velocity: Sequence[int] | None = None,
 ) -> Tensor:
     """How far a policy has gone from the one it started as, where an objective matters.
 
@@ -121,8 +134,8 @@ def anchor(
     A mean over the transitions, weighed by the cube of the weight of the objective: it holds a corner
     of the preferences and leaves the middle free. Far from the human it holds nothing: styles differ
     in how a person is passed, and the rest of the way only has to be driven well. Nor does it hold
-    what ends in a failure: the policy at the start may have led there. Nor where a box is near: what
-    was demonstrated may lead into it.
+    what ends in a failure: the policy at the start may have led there. Nor where a box is near, or the
+    human walks: what was demonstrated may lead into them.
 
     Args:
         batch: of transitions, with the ``start_action`` of the policy at the start, averaged over time or
@@ -134,11 +147,15 @@ def anchor(
         objective: the place of the weight in the preference.
         radius: around the human, metres.
         clearance: from the nearest box, metres; 0 holds beside boxes, too.
+        velocity: where the observation has the human's; ``None`` holds whether they stand or walk.
     """
     divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
     held = (batch["human"][..., 0] < radius) & ~batch["fails"]
     if clearance:
         held = held & (nearest_box(batch["observation"], batch["human"]) >= clearance)
+    if velocity is not None:
+        speed = batch["observation"][..., velocity[0] : velocity[-1] + 1].norm(dim=-1)
+        held = held & (speed < _STANDING)
     weight = batch["preference"][..., objective] ** 3 * held
     return (weight * divergence.log1p()).mean()
 
@@ -183,6 +200,38 @@ def smoothness(batch: TensorDictBase, action: Tensor, actor: TensorDictSequentia
     change = actor(later)["action"] - action
     continues = ~batch["next", "done"].squeeze(-1)
     return (change[..., 1].square() * continues).mean()
+
+
+def mirror(
+    batch: TensorDictBase,
+    action: Tensor,
+    actor: TensorDictSequential,
+    *,
+    parts: Mapping[str, Sequence[int]],
+    demo: int | None,
+) -> Tensor:
+    """How much a policy does otherwise in the mirror image of what it sees, mean square.
+
+    The loss of Yu et al. (https://arxiv.org/abs/1801.08093), where nobody prefers a side: distances
+    and times are the same in the mirror image, and so is what is best. Demonstrations are not; the
+    weight of the loss is the cube of what the preference leaves to the other objectives. Without it
+    all preferences pass people on the demonstrated side, which is as often the longer one.
+
+    Args:
+        batch: of transitions.
+        action: of the actor there, in [-1, 1], speed and turn rate, ``[*B, 2]``.
+        actor: writes the action in the mirror image.
+
+    Keyword Args:
+        parts: of the observation.
+        demo: the place of the demonstrated style in the preference; ``None`` without demonstrations.
+    """
+    image = batch.select(*actor.in_keys)
+    image["observation"] = mirror_observation(image["observation"], parts)
+    difference = (mirror_action(actor(image)["action"]) - action).square().sum(-1)
+    if demo is not None:
+        difference = (1 - batch["preference"][..., demo]) ** 3 * difference
+    return difference.mean()
 
 
 def standing(action: Tensor) -> Tensor:

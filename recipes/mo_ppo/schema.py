@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from recipes.training import ppo_schema, schema
+from recipes.training import ppo_schema, schema, worker_schema
 from recipes.training.fields import (
     Allows,
     Count,
@@ -43,12 +43,20 @@ class Env(schema.Env):
     scene: SceneField | None = Field(
         description="Scenes in which it trains; null is where the policy was evaluated."
     )
-    robot: RobotField | None = Field(description="The robot; null is that of the policy.")
+    robot: RobotField | None = Field(
+        description="The robot, any draws one for every episode; null is that of the policy."
+    )
     observe_human: bool | None = Field(
         description="Whether the policy knows where the human is; null is as it was trained."
     )
     observe_human_velocity: bool | None = Field(
         description="Whether the policy knows the human's velocity; null is as it was trained."
+    )
+    observe_nobody: bool | None = Field(
+        description="Whether the policy knows that nobody is there; null is as it was trained."
+    )
+    observe_robot: bool | None = Field(
+        description="Whether the policy knows which robot it drives; null is as it was trained."
     )
     drive: Literal["planar", "wheels"] | None = Field(
         description="Velocity servos, or wheels with rolling contact; null is as it was trained."
@@ -93,7 +101,7 @@ class Demonstrations(Section):
         return self
 
 
-class Collector(ppo_schema.Collector):
+class Collector(worker_schema.Workers, ppo_schema.Collector):
     """With noise on each entry of the action."""
 
     exploration_sigma: Annotated[
@@ -123,6 +131,9 @@ class Loss(ppo_schema.Loss):
     )
     smoothness_coeff: NotNegative = Field(
         description="Cost of the squared change of the turn rate from a step to the next."
+    )
+    mirror_coeff: NotNegative = Field(
+        description="Cost of doing otherwise in the mirror image, where the style is not preferred."
     )
     standing_coeff: NotNegative = Field(description="Cost of neither driving nor turning.")
 
@@ -183,5 +194,6 @@ class Config(Section):
         frames = self.collector.frames_per_batch
         schema.check_batches(frames, self.env.num_envs)
         schema.check_segments(self.preference.num_segments, self.env.num_envs)
+        worker_schema.check_workers(self.collector, self.env.num_envs, self.preference.num_segments)
         ppo_schema.check_batch_size(self.optim.batch_size, frames)
         return self

@@ -17,6 +17,8 @@ FROM_NOTHING = {
         "robot": "turtlebot2",
         "observe_human": True,
         "observe_human_velocity": False,
+        "observe_nobody": False,
+        "observe_robot": False,
         "drive": "planar",
         "goal_radius": 0.3,
         "max_episode_steps": 300,

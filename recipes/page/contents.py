@@ -75,9 +75,14 @@ def contents(
 
 def _policy(folder: Path) -> tuple[dict[str, Any], Robot]:
     policy = load_policy(folder)  # which looks at the files
-    setting = trained_in(policy.card)
+    setting = trained_in(policy.card).with_one_robot
     if policy.sensing is None:
         raise ValueError(f"{folder}: its file does not tell what it senses: save it again.")
+    for name in ("observe_robot", "observe_nobody"):
+        if getattr(policy.sensing, name):
+            raise ValueError(
+                f"{folder}: its sensing.{name} must be false: a page has no such input."
+            )
     activation = describe_mlp(policy.actor[0].module)["activation"]
     dtype = str(next(policy.actor.parameters()).dtype).removeprefix("torch.")
     for name, got, runs in (
@@ -111,6 +116,11 @@ def _scenes(
 
     No policy has trained in what the page shows, those of tests; what is recorded must not be of tests.
     """
+    if scene.num_people is not None:
+        raise ValueError(
+            f"scene {scene.name!r} has people with ways of their own: a page shows one human, choose a "
+            "scene with one, such as static or moving_human."
+        )
     first = _FIRST_TRAINING_SEED if scene.name == RECORDING else TEST_SEEDS[0]
     env = NavigationEnv(
         scene=scene,

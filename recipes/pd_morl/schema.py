@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from recipes.training import schema
+from recipes.training import schema, worker_schema
 from recipes.training.fields import CountOrNone, Decay
 
 
@@ -29,6 +29,10 @@ class Preference(schema.Preference):
         return self
 
 
+class Collector(worker_schema.Workers, schema.NoisyCollector):
+    """With workers."""
+
+
 class Network(schema.Network):
     """With a head start."""
 
@@ -50,8 +54,13 @@ class Config(schema.OffPolicy):
 
     compute: schema.CompiledCompute
     preference: Preference
-    collector: schema.NoisyCollector
+    collector: Collector
     network: Network
     loss: schema.AngleLoss
     optim: schema.TD3Optim
     evaluation: Evaluation
+
+    @model_validator(mode="after")
+    def _workers_share_the_environments(self) -> Config:
+        worker_schema.check_workers(self.collector, self.env.num_envs, self.preference.num_segments)
+        return self

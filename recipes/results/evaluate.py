@@ -4,9 +4,12 @@ Examples::
 
     python -m recipes.results.evaluate OUR=recipes/policies/navigation --output runs/results
     python -m recipes.results.evaluate OUR=runs/a,runs/b,runs/c NH=runs/nh straight=reference:straight \\
-        --output runs/results --condition static moving_human corridor hsr wheels faults all
+        --output runs/results --condition static moving_human corridor hsr wheels faults
+    python -m recipes.results.evaluate OUR=recipes/policies/navigation orca=reference:orca \\
+        --output runs/all --condition all --steps 3 --episodes 50
 
-Every system and condition becomes a folder with ``episodes.csv`` (a row an episode), ``summary.json``
+``all`` is every scene and every change of the static one; ``recipes.results.conditions_table`` makes the
+table and the page of pictures of it. Every system and condition becomes a folder with ``episodes.csv`` (a row an episode), ``summary.json``
 and ``trajectories.npz``. What is there already is skipped, so the command can be repeated after an
 interruption; nothing is overwritten.
 """
@@ -31,7 +34,7 @@ from ..arguments import Parser, count, episodes
 from ..evaluation.setting import GOAL_RADIUS, scene_seed
 from ..evaluation.sweep import sweep
 from ..outputs import check_writable
-from .conditions import CHANGES, SCENE_KINDS, condition
+from .conditions import ALL, CHANGES, SCENE_KINDS, condition, conditions
 from .episodes import OUTCOMES, episode_values, trajectory_arrays
 from .files import SUMMARY, write_evaluation
 from .systems import System, load_system
@@ -210,7 +213,7 @@ def main() -> None:
         "--condition",
         nargs="+",
         default=["static"],
-        help=f"a scene ({', '.join(SCENE_KINDS)}), a change of the static one "
+        help=f"{ALL}, a scene ({', '.join(SCENE_KINDS)}), a change of the static one "
         f"({', '.join(CHANGES)}), or both: moving_human+faults (default: static)",
     )
     parser.add_argument("--episodes", type=episodes, default=100, help="scenes per preference")
@@ -232,13 +235,14 @@ def main() -> None:
         for name in args.condition:
             if args.condition.count(name) > 1:
                 raise ValueError(f"--condition names {name} twice: once is enough.")
-        for system, name in itertools.product(systems, args.condition):
+        chosen = conditions(args.condition)
+        for system, name in itertools.product(systems, chosen):
             system.demonstrator(condition(name)["robot"])
         check_writable(args.output, args.output)
     except (ImportError, OSError, ValueError) as error:
         parser.error(str(error))
     options = {"episodes": args.episodes, "seed": args.seed, "steps": args.steps}
-    for system, name in itertools.product(systems, args.condition):
+    for name, system in itertools.product(chosen, systems):
         try:
             folder = evaluate(system, name, args.output, **options)
         except OSError as error:

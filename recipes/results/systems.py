@@ -11,12 +11,13 @@ from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
+from envs import get_robot
 from envs.demonstrations import CircleDemonstrator
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
 from ..evaluation.references import make_reference
-from ..evaluation.setting import demonstration, trained_in
+from ..evaluation.setting import DEMONSTRATED, demonstration, trained_in
 
 _REFERENCE = "reference:"
 
@@ -72,8 +73,10 @@ class System:
             )
 
     def demonstrator(self, robot: str) -> CircleDemonstrator:
-        """On a robot, with actions in m/s and rad/s."""
-        return CircleDemonstrator(**self.demonstration | {"robot": robot})
+        """On a robot, with actions in m/s and rad/s; a slower one shows it at its own speed."""
+        shown = {"speed": DEMONSTRATED, **self.demonstration, "robot": robot}
+        shown["speed"] = min(shown["speed"], get_robot(robot).max_speed)
+        return CircleDemonstrator(**shown)
 
 
 def untrained(

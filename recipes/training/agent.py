@@ -10,6 +10,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.modules import AdditiveGaussianModule
 
 import torchrl_morl.modules
+from envs.policy_env import observed
 from envs.straight_drive import StraightDriveValue
 from torchrl_morl.modules import make_vector_critic
 
@@ -62,6 +63,7 @@ def make_straight_drive_value(cfg: DictConfig, task: Task) -> StraightDriveValue
         gamma=cfg.loss.gamma,
         reward_scale=cfg.replay_buffer.reward_scale,
         robot=cfg.env.robot,
+        observed=observed(cfg.env),
         goal_radius=cfg.env.goal_radius,
         rewards=cfg.env.get("rewards"),
     )

@@ -173,6 +173,11 @@ class CollectorState:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on there, in an environment of the same configuration."""
         collector = self.collector
+        if "trajectories" not in state:
+            raise ValueError(
+                "It was written with collector.backend=ray, and holds no episodes: go on with that, "
+                "collector.num_workers=1 will do."
+            )
         collector._traj_pool.load_state_dict(state["trajectories"])
         if "simulation" in state:
             collector.env.base_env.load_simulation_state(state["simulation"])

@@ -77,7 +77,7 @@ def evaluate_corners(cfg: DictConfig, task: Task, actor: TensorDictModule) -> Co
         "collision": 100 * collision.float().mean(-1),
         "timeout": 100 * metrics["timeout"].float().mean(-1),
         "time": metrics["time"].nanmean(-1),
-        "human": metrics["min_human_distance"].mean(-1),
+        "human": metrics["min_human_distance"].nanmean(-1),
         "saturated": (saturated * mask).sum((-2, -1)) / mask.sum((-2, -1)),
     }
     path = trajectories(data)
@@ -86,7 +86,9 @@ def evaluate_corners(cfg: DictConfig, task: Task, actor: TensorDictModule) -> Co
             path["position"],
             task.scenes["boxes"],
             path["mask"],
-            task.eval_env.base_env.robot.radius,
+            task.scenes.get("robot", None)[..., 0]
+            if "robot" in task.scenes.keys()
+            else task.eval_env.base_env.robot.radius,
         ).mean(-1)
     if demonstration is not None:
         frechet = discrete_frechet(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -28,6 +29,11 @@ class Problem(Protocol):
     @property
     def env(self) -> EnvBase:
         """Where it trains: ``observation``, ``preference``, and an ``action`` in [-1, 1]."""
+        ...
+
+    @property
+    def make_env(self) -> Callable[[int, int], EnvBase]:
+        """Another one to train in, of a seed and a number of environments; it can be pickled."""
         ...
 
     @property

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints
 
-from envs import get_robot, get_scene
+from envs import get_robots, get_scene
 from envs.faults import get_faults
 from envs.objectives import check_objectives, get_rewards
 from envs.splits import VALIDATION_SEEDS
@@ -177,7 +177,12 @@ Rewards = Annotated[
 Device = Annotated[str, StringConstraints(pattern=r"^(cpu|cuda(:\d+)?)$"), Allows("cpu or cuda")]
 
 RobotField = Annotated[
-    Any, _known(get_robot), IsPath(), Allows("a name, a .yaml file or a mapping")
+    Any,
+    _known(get_robots),
+    IsPath(),
+    Allows(
+        "a name, any, a .yaml file, or a mapping, also with ranges that every episode draws from"
+    ),
 ]
 SceneField = Annotated[
     Any, _known(get_scene), IsPath(), Allows("a name, a .yaml file or a mapping")

@@ -13,11 +13,11 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 from torchrl._utils import timeit
-from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 
 from . import command, logs
-from .checkpoint import BufferState, Checkpoints, CollectorState, Counters, check_frames_left
+from .checkpoint import BufferState, Checkpoints, Counters, check_frames_left
+from .collection import collecting, make_collector
 from .evaluation import Evaluation, Problem, Result
 from .replay import TRANSITION
 from .run_folder import write_run_info
@@ -59,78 +59,71 @@ def train(
 
     Raises:
         Stopped: where somebody has, see :mod:`.command`.
+        WorkerLost: if a worker has died or failed; what was learned is saved.
     """
-    collector = Collector(
-        problem.env,
-        policy,
-        frames_per_batch=cfg.collector.frames_per_batch,
-        total_frames=cfg.collector.total_frames,
-        init_random_frames=cfg.collector.init_random_frames,
-        policy_device=problem.device,
-        storing_device=problem.device,
-        auto_register_policy_transforms=False,
-    )
+    collector, episodes = make_collector(cfg, problem, policy)
     anneal = getattr(policy[-1], "step", None)
     count = Counters(frames=0, updates=0, **dict.fromkeys(evaluation.shown, float("nan")))
     checkpoints = Checkpoints(
         problem.run_dir / "checkpoints",
         **state,
         replay_buffer=BufferState(replay_buffer),
-        collector=CollectorState(collector, policy),
+        collector=episodes,
         count=count,
     )
     if cfg.resume is not None:
         checkpoints.load()
         check_frames_left(cfg, count.frames)
+    stream = iter(collector)  # workers begin, before anything is written
     write_run_info(problem.run_dir)
     loggers = logs.make_loggers(cfg, problem.run_dir, begin=count.frames)
     logs.announce(cfg, problem.run_dir)
     progress = tqdm.tqdm(
         total=cfg.collector.total_frames, initial=count.frames, unit="step", smoothing=0.05
     )
-    for data in command.until_stopped(collector):
-        with timeit("extend"):
-            replay_buffer.extend(data.reshape(-1).select(*TRANSITION))
-        collected, frames = count.frames, count.frames + data.numel()
-        count.frames = frames
-        if anneal is not None:
-            anneal(data.numel())
-        progress.update(data.numel())
+    with collecting(collector, checkpoints, count):
+        for data in command.until_stopped(stream):
+            with timeit("extend"):
+                replay_buffer.extend(data.reshape(-1).select(*TRANSITION))
+            collected, frames = count.frames, count.frames + data.numel()
+            count.frames = frames
+            if anneal is not None:
+                anneal(data.numel())
+            progress.update(data.numel())
 
-        metrics = {}
-        if frames > cfg.collector.init_random_frames:
-            with timeit("sample"):
-                sample = replay_buffer.sample()
-            for batch in sample.split(cfg.replay_buffer.batch_size):
-                count.updates += 1
-                info = update(batch, count.updates, frames)
-                metrics |= {name: value.detach() for name, value in info.items()}
-            for scheduler in schedulers.values():
-                scheduler.step()
-            if after_updates is not None:
-                after_updates(frames)
+            metrics = {}
+            if frames > cfg.collector.init_random_frames:
+                with timeit("sample"):
+                    sample = replay_buffer.sample()
+                for batch in sample.split(cfg.replay_buffer.batch_size):
+                    count.updates += 1
+                    info = update(batch, count.updates, frames)
+                    metrics |= {name: value.detach() for name, value in info.items()}
+                for scheduler in schedulers.values():
+                    scheduler.step()
+                if after_updates is not None:
+                    after_updates(frames)
 
-        if metrics and logs.crossed(cfg.logger.interval, collected, frames):
-            logs.log_training(loggers, metrics, problem.preference_space, frames, count.updates)
-            progress.set_postfix(logs.progress_line(progress, count, evaluation.shown))
+            if metrics and logs.crossed(cfg.logger.interval, collected, frames):
+                logs.log_training(loggers, metrics, problem.preference_space, frames, count.updates)
+                progress.set_postfix(logs.progress_line(progress, count, evaluation.shown))
 
-        last = frames >= cfg.collector.total_frames
-        if count.updates and (last or logs.crossed(cfg.evaluation.interval, collected, frames)):
-            with timeit("evaluate"):
-                result = evaluation(averaged.module)
-            if after_evaluation is not None:
-                after_evaluation(result)
-            for name in evaluation.shown:
-                setattr(count, name, getattr(result, name))
-            evaluation.save(averaged.module, result, frames, loggers)
-            tqdm.tqdm.write(result.table(frames))
-            # Last, so that it is of a whole step; and after the small policy, if the disk is full.
-            with timeit("checkpoint"):
-                checkpoints.save(frames)
-    progress.close()
-    if command.stop_requested() and count.frames < cfg.collector.total_frames:
-        checkpoints.save(count.frames)
-        raise command.Stopped(f"after {count.frames:,} steps")
-    collector.shutdown()
+            last = frames >= cfg.collector.total_frames
+            if count.updates and (last or logs.crossed(cfg.evaluation.interval, collected, frames)):
+                with timeit("evaluate"):
+                    result = evaluation(averaged.module)
+                if after_evaluation is not None:
+                    after_evaluation(result)
+                for name in evaluation.shown:
+                    setattr(count, name, getattr(result, name))
+                evaluation.save(averaged.module, result, frames, loggers)
+                tqdm.tqdm.write(result.table(frames))
+                # Last, so that it is of a whole step; and after the small policy, if the disk is full.
+                with timeit("checkpoint"):
+                    checkpoints.save(frames)
+        progress.close()
+        if command.stop_requested() and count.frames < cfg.collector.total_frames:
+            checkpoints.save(count.frames)
+            raise command.Stopped(f"after {count.frames:,} steps")
     print(logs.time_shares())
     evaluation.end(result)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import torch
@@ -14,14 +15,14 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 from torchrl._utils import timeit
-from torchrl.collectors import Collector
 from torchrl.envs import RewardScaling
 from torchrl.objectives import ClipPPOLoss
 
 from torchrl_morl.objectives import MultiObjectiveGAE
 
 from . import command, logs, ppo
-from .checkpoint import Checkpoints, CollectorState, Counters, check_frames_left
+from .checkpoint import Checkpoints, Counters, check_frames_left
+from .collection import collecting, make_collector
 from .evaluation import Evaluation, Problem
 from .gradients import use_bfloat16
 from .optimizers import step
@@ -73,20 +74,13 @@ def train(
 
     Raises:
         Stopped: where somebody has, see :mod:`.command`.
+        WorkerLost: if a worker has died or failed; what was learned is saved.
     """
-    env = problem.env.append_transform(RewardScaling(0.0, cfg.replay_buffer.reward_scale))
     replay_buffer = ppo.make_replay_buffer(cfg, problem)
     bfloat16 = use_bfloat16(cfg.compute.bfloat16, problem.device)
     precision = torch.autocast(problem.device.type, torch.bfloat16, enabled=bfloat16)
-    collector = Collector(
-        env,
-        policy,
-        frames_per_batch=cfg.collector.frames_per_batch,
-        total_frames=cfg.collector.total_frames,
-        policy_device=problem.device,
-        storing_device=problem.device,
-        auto_register_policy_transforms=False,
-    )
+    scaling = partial(RewardScaling, 0.0, cfg.replay_buffer.reward_scale)
+    collector, episodes = make_collector(cfg, problem, policy, transform=scaling)
     # The learning rate falls from frame `begin` on: 0, unless a training that was over goes on.
     count = Counters(frames=0, begin=0)
     checkpoints = Checkpoints(
@@ -95,7 +89,7 @@ def train(
         advantage=advantage,
         averaged=averaged,
         **optimizers,
-        collector=CollectorState(collector, policy),
+        collector=episodes,
         count=count,
         **(state or {}),
     )
@@ -105,6 +99,7 @@ def train(
     schedule = make_schedule(cfg, optimizers["actor"], count.frames, count.begin)
     if sigma is not None:
         sigma.copy_(noise(cfg, count.frames))
+    stream = iter(collector)  # workers begin
     # Nothing is written before the configuration has been accepted.
     write_run_info(problem.run_dir)
     loggers = logs.make_loggers(cfg, problem.run_dir, begin=count.frames)
@@ -114,71 +109,71 @@ def train(
         total=cfg.collector.total_frames, initial=count.frames, unit="step", smoothing=0.05
     )
     done = count.frames // cfg.collector.frames_per_batch
-    for batches, data in enumerate(command.until_stopped(collector), start=done):
-        collected, frames = count.frames, count.frames + data.numel()
-        count.frames = frames
-        progress.update(data.numel())
-        # The critic starts from nothing: the actor waits until it has learned the values.
-        trains_actor = batches >= cfg.optim.critic_batches
-        advantage.lmbda.fill_(lmbda(cfg, collected) if trains_actor else 1.0)
-        with timeit("advantage"):
-            advantage(data)
-            if prepare is not None:
-                prepare(data)
-        replay_buffer.empty()
-        replay_buffer.extend(data.reshape(-1).select(*read, strict=False))
+    with collecting(collector, checkpoints, count):
+        for batches, data in enumerate(command.until_stopped(stream), start=done):
+            collected, frames = count.frames, count.frames + data.numel()
+            count.frames = frames
+            progress.update(data.numel())
+            # The critic starts from nothing: the actor waits until it has learned the values.
+            trains_actor = batches >= cfg.optim.critic_batches
+            advantage.lmbda.fill_(lmbda(cfg, collected) if trains_actor else 1.0)
+            with timeit("advantage"):
+                advantage(data)
+                if prepare is not None:
+                    prepare(data)
+            replay_buffer.empty()
+            replay_buffer.extend(data.reshape(-1).select(*read, strict=False))
 
-        metrics: dict[str, Tensor] = {}
-        for _ in range(cfg.optim.epochs if trains_actor else cfg.optim.critic_epochs):
-            for batch in replay_buffer:
-                with timeit("update"):
-                    with precision:
-                        losses = loss(batch)
-                    step(optimizers["critic"], losses["loss_critic"], cfg.optim.max_grad_norm)
-                    if trains_actor:
-                        loss_actor = losses["loss_objective"]
-                        if "loss_entropy" in losses:
-                            loss_actor = loss_actor + losses["loss_entropy"]
-                        if costs is not None:
-                            with precision:
-                                paid = costs(batch)
-                            for name, cost in paid.items():
-                                loss_actor = loss_actor + cfg.loss[f"{name}_coeff"] * cost
-                            metrics |= paid
-                        step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
-                        averaged.update_parameters(actor)
-                metrics |= losses
-        if trains_actor:
-            schedule.step()
-        if sigma is not None:
-            # Constant within a batch: likelihoods are compared under the noise that it was collected with.
-            sigma.copy_(noise(cfg, frames))
-        if measure is not None:
-            metrics |= measure(data)
-        logged = {f"train/{name}": value.detach().mean() for name, value in metrics.items()}
-        logs.log_metrics(loggers, logged, frames)
+            metrics: dict[str, Tensor] = {}
+            for _ in range(cfg.optim.epochs if trains_actor else cfg.optim.critic_epochs):
+                for batch in replay_buffer:
+                    with timeit("update"):
+                        with precision:
+                            losses = loss(batch)
+                        step(optimizers["critic"], losses["loss_critic"], cfg.optim.max_grad_norm)
+                        if trains_actor:
+                            loss_actor = losses["loss_objective"]
+                            if "loss_entropy" in losses:
+                                loss_actor = loss_actor + losses["loss_entropy"]
+                            if costs is not None:
+                                with precision:
+                                    paid = costs(batch)
+                                for name, cost in paid.items():
+                                    loss_actor = loss_actor + cfg.loss[f"{name}_coeff"] * cost
+                                metrics |= paid
+                            step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
+                            averaged.update_parameters(actor)
+                    metrics |= losses
+            if trains_actor:
+                schedule.step()
+            if sigma is not None:
+                # Constant within a batch: likelihoods are compared under the noise that it was collected with.
+                sigma.copy_(noise(cfg, frames))
+            if measure is not None:
+                metrics |= measure(data)
+            logged = {f"train/{name}": value.detach().mean() for name, value in metrics.items()}
+            logs.log_metrics(loggers, logged, frames)
 
-        last = frames >= cfg.collector.total_frames
-        if last or logs.crossed(cfg.evaluation.interval, collected, frames):
-            with timeit("evaluate"):
-                result = evaluation(averaged.module)
-            evaluation.save(averaged.module, result, frames, loggers, **(facts or {}))
-            tqdm.tqdm.write(result.table(frames))
-            # What goes on from the end has a schedule of its own.
-            count.begin = frames if last else count.begin
-            # Behind the small policy, which a full disk must not cost.
-            with timeit("checkpoint"):
-                checkpoints.save(frames)
-            progress.set_postfix(
-                {
-                    name: form.format(getattr(result, name))
-                    for name, form in evaluation.shown.items()
-                }
-            )
-    progress.close()
-    if command.stop_requested() and count.frames < cfg.collector.total_frames:
-        checkpoints.save(count.frames)
-        raise command.Stopped(f"after {count.frames:,} steps")
-    collector.shutdown()
+            last = frames >= cfg.collector.total_frames
+            if last or logs.crossed(cfg.evaluation.interval, collected, frames):
+                with timeit("evaluate"):
+                    result = evaluation(averaged.module)
+                evaluation.save(averaged.module, result, frames, loggers, **(facts or {}))
+                tqdm.tqdm.write(result.table(frames))
+                # What goes on from the end has a schedule of its own.
+                count.begin = frames if last else count.begin
+                # Behind the small policy, which a full disk must not cost.
+                with timeit("checkpoint"):
+                    checkpoints.save(frames)
+                progress.set_postfix(
+                    {
+                        name: form.format(getattr(result, name))
+                        for name, form in evaluation.shown.items()
+                    }
+                )
+        progress.close()
+        if command.stop_requested() and count.frames < cfg.collector.total_frames:
+            checkpoints.save(count.frames)
+            raise command.Stopped(f"after {count.frames:,} steps")
     print(logs.time_shares())
     evaluation.end(result)

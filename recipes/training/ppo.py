@@ -12,7 +12,7 @@ from tensordict.nn import (
     TensorDictModule,
     TensorDictSequential,
 )
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.modules import IndependentNormal
 from torchrl.objectives import ClipPPOLoss
@@ -37,6 +37,29 @@ ENVS_AT_ONCE = 32
 takes twice the time."""
 
 
+class NoiseScale(nn.Module):
+    """Standard deviations, which follow their schedule; a buffer that is in no state dict.
+
+    Args:
+        sigma: one for each entry of the action, ``[A]``; whoever changes it in place changes the policy.
+    """
+
+    def __init__(self, sigma: Tensor) -> None:
+        super().__init__()
+        self.register_buffer("sigma", sigma, persistent=False)
+
+
+class _Scale(nn.Module):
+    """Reads standard deviations from a module that is not its part: no loss takes them for weights."""
+
+    def __init__(self, noise: NoiseScale) -> None:
+        super().__init__()
+        self._noise = (noise,)
+
+    def forward(self, action: Tensor) -> Tensor:
+        return self._noise[0].sigma.expand_as(action)
+
+
 def make_policy(
     actor: TensorDictSequential, sigma: Tensor
 ) -> tuple[ProbabilisticTensorDictSequential, TensorDictSequential]:
@@ -53,9 +76,10 @@ def make_policy(
         The probabilistic part, which writes ``noisy_action`` beside the actor's ``action``; and that
         followed by the bounds, which writes ``action`` anew.
     """
+    noise = NoiseScale(sigma)
     noisy = ProbabilisticTensorDictSequential(
         actor,
-        TensorDictModule(sigma.expand_as, in_keys=["action"], out_keys=["scale"]),
+        TensorDictModule(_Scale(noise), in_keys=["action"], out_keys=["scale"]),
         ProbabilisticTensorDictModule(
             in_keys={"loc": "action", "scale": "scale"},
             out_keys=["noisy_action"],
@@ -66,7 +90,10 @@ def make_policy(
     bounds = TensorDictModule(
         partial(torch.clamp, min=-1.0, max=1.0), in_keys=["noisy_action"], out_keys=["action"]
     )
-    return noisy, TensorDictSequential(noisy, bounds)
+    policy = TensorDictSequential(noisy, bounds)
+    # Its own part: collectors in other processes are sent the buffers of the whole.
+    policy.noise = noise
+    return noisy, policy
 
 
 def make_critic(cfg: DictConfig, problem: Problem) -> TensorDictModule:

@@ -52,8 +52,27 @@ class Faults(Section):
         0.0, description="Standard deviation of the executed velocities, as a share of their range."
     )
     latency: Amount = Field(
-        0, description="Control steps of 0.2 s between a command and its execution."
+        0, description="Control steps of 0.2 s between a command and its execution, 0 to 3."
     )
+    invalid_beams: Amount = Field(
+        0.0, description="Probability that a lidar ray is invalid, coded otherwise in each episode."
+    )
+    unknown_angle: Amount = Field(
+        0.0, description="Part of the view whose rays are all invalid, radians."
+    )
+    speed_scale: Amount = Field(1.0, description="Executed over commanded speed, at most 2.")
+    turn_scale: Amount = Field(1.0, description="Executed over commanded turn rate, at most 2.")
+    lag: Amount = Field(
+        0.0, description="Time constant with which the base follows a command, seconds."
+    )
+    goal_drift: Amount = Field(0.0, description="How far the reported goal strays, metres.")
+    human_noise: Amount = Field(
+        0.0, description="Standard deviation of each coordinate of the reported human, metres."
+    )
+    human_bias: Amount = Field(
+        0.0, description="How far all reports of an episode are off to one side, metres."
+    )
+    human_lost: Amount = Field(0.0, description="Share of the time in which nobody is reported.")
 
     @model_validator(mode="after")
     def _in_their_ranges(self) -> Faults:
@@ -65,10 +84,18 @@ class Env(Section):
     """Where an agent trains."""
 
     scene: SceneField = Field(description="Scenes in which it trains.")
-    robot: RobotField = Field(description="The robot that is trained.")
+    robot: RobotField = Field(
+        description="The robot that is trained; any draws one for every episode."
+    )
     observe_human: bool = Field(description="Whether the policy knows where the human is.")
     observe_human_velocity: bool = Field(
         description="Whether the policy knows the human's velocity, for humans who walk."
+    )
+    observe_nobody: bool = Field(
+        description="Whether the policy knows that nobody is there, for scenes without anybody."
+    )
+    observe_robot: bool = Field(
+        description="Whether the policy knows which robot it drives, for robots that differ."
     )
     drive: Literal["planar", "wheels"] = Field(
         description="Velocity servos, or wheels with rolling contact, several times dearer."

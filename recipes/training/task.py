@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict, TensorDictBase
 from torch import nn
 from torchrl.envs import EnvBase
 
-from envs import NavigationEnv
+from envs import NavigationEnv, RobotRanges, get_robots
 from envs.demonstrations import CircleDemonstrator, demonstrated_paths
-from envs.policy_env import make_policy_env, observation_size, observed_size, simulated
+from envs.policy_env import (
+    OBSERVED,
+    make_policy_env,
+    observation_size,
+    observed_size,
+    simulated,
+)
+from envs.robot_ranges import largest
 from envs.splits import check_validation_seed, training_seed
 from recipes.evaluation.sweep import scene_layout
 from recipes.objectives import reward_objectives
@@ -45,6 +53,8 @@ class Task:
     """What the demonstrator does in the scenes of the evaluation."""
     scenes: TensorDict
     """Those scenes, see :func:`recipes.evaluation.sweep.scene_layout`."""
+    make_env: Callable[[int, int], EnvBase] | None = None
+    """Another one to train in, of a seed and a number of environments; it can be pickled."""
     facts: dict[str, Any] = dataclasses.field(default_factory=dict)
     """For the cards of its policies."""
 
@@ -83,6 +93,7 @@ def make_task(cfg: DictConfig, run_dir: Path | None = None) -> Task:
         demo_card=demo_card,
         demonstration=demonstrated(cfg, demo_card, start) if demo else None,
         scenes=scene_layout(start),
+        make_env=functools.partial(make_worker_env, cfg, preference_space, reward_model),
         # What null in the configuration became; scalarised agents have no such field.
         facts={"bfloat16": use_bfloat16(cfg.compute.get("bfloat16", False), device)},
     )
@@ -112,8 +123,8 @@ def check_observation(cfg: DictConfig, source: str, size: int) -> None:
     expected = observation_size(cfg.env)
     if size != expected:
         raise ValueError(
-            f"{source} is about observations of {size} entries, here they have {expected}: both "
-            "recipes must be given the same env.observe_human and env.observe_human_velocity."
+            f"{source} is about observations of {size} entries, here they have {expected}: both recipes "
+            f"must be given the same {', '.join(f'env.{name}' for name in OBSERVED)}."
         )
 
 
@@ -147,6 +158,19 @@ def make_train_env(
     return make_policy_env(sampler, reward_model=reward_model, seed=seed, **cfg.env)
 
 
+def make_worker_env(
+    cfg: DictConfig,
+    preference_space: PreferenceSpace,
+    reward_model: RewardModel | None,
+    seed: int,
+    num_envs: int,
+) -> EnvBase:
+    """As :func:`make_train_env`, for a worker: fewer environments, of another seed, on its threads."""
+    env = {"num_envs": num_envs, "num_threads": cfg.collector.worker_cpus}
+    cfg = OmegaConf.merge(cfg, {"seed": seed, "env": env})
+    return make_train_env(cfg, preference_space, reward_model)
+
+
 def make_eval_env(
     cfg: DictConfig, preference_space: PreferenceSpace, reward_model: RewardModel | None
 ) -> EnvBase:
@@ -171,7 +195,19 @@ def demonstrated(cfg: DictConfig, card: dict[str, Any], start: TensorDictBase) -
         return None
     kwargs = simulated(evaluation_arguments(cfg))
     del kwargs["num_envs"], kwargs["seed"]
-    return demonstrated_paths(CircleDemonstrator(**card["demonstrator"]), start, **kwargs)
+    return demonstrated_paths(
+        CircleDemonstrator(**demonstrator_of(card, cfg.env.robot)), start, **kwargs
+    )
+
+
+def demonstrator_of(card: dict[str, Any], robot: Any) -> dict[str, Any]:
+    """Arguments of what a reward model's card was shown, for another robot where robots differ."""
+    given = dict(card["demonstrator"])
+    shown, here = get_robots(given.get("robot", "turtlebot2")), get_robots(robot)
+    if isinstance(shown, RobotRanges) or isinstance(here, RobotRanges):
+        given["robot"] = robot
+        given["speed"] = min(given["speed"], largest(here).max_speed)
+    return given
 
 
 def evaluation_arguments(cfg: DictConfig) -> dict[str, Any]:

@@ -62,6 +62,10 @@ def check_surroundings(
             raise ValueError(
                 f"logger.backends: {backend} is not installed: pip install {backend}, or leave it out."
             )
+    if select(config, "collector.backend") == "ray" and importlib.util.find_spec("ray") is None:
+        raise ValueError(
+            "collector.backend: ray is not installed: pip install 'ray>=2.50,<3', or give direct."
+        )
     for leaf in leaves(schema):
         value = select(config, leaf.name)
         if leaf.path is None or not isinstance(value, str):

@@ -138,7 +138,7 @@ def options(module: str, *subcommand: str) -> set[str]:
 def refused(recipe, fields: list[str]) -> str | None:
     """Why a recipe would not take these fields; whether files are there is not looked at."""
     folder = Path(importlib.import_module(recipe.module).__file__).parent
-    fields = [one for one in fields if not one.startswith("hydra.")]
+    fields = [one for one in fields if not one.startswith(("hydra.", "hydra/"))]
     # Where the reader is asked for a value of theirs.
     swept = [re.sub(r"=(\d+)(,\d+)+$", r"=\1", one) for one in fields]
     try:

@@ -60,7 +60,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
         ("pd_morl", pd_morl.main, (*OFF_POLICY, "compute.compile=false")),
         ("td3", td3.main, OFF_POLICY),
         ("sac", sac.main, OFF_POLICY),
-        ("mo_ppo", mo_ppo.main, (policy, *ON_POLICY)),
+        ("mo_ppo", mo_ppo.main, (policy, "loss.mirror_coeff=1", *ON_POLICY)),
     ):
         run_here(main, *given, model, f"hydra.run.dir={folder}/{name}")
     names = ("drex", "pd_morl", "mo_ppo", "td3", "sac")

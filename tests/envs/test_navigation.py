@@ -204,13 +204,24 @@ def test_collisions_are_those_of_the_physics(robot):
     start["qpos"][:, 1] = around[:, 1] + radius * angle.sin()
     start["qpos"][:, 2] = 2 * math.pi * unit[:, 2]
     current = env.reset(start, set_state=True)
-    contacts = env.batch.bind("ncon")
-    seen = torch.zeros(2, dtype=torch.int64)
+    # A second simulation takes the same steps one by one, and MuJoCo looks for contacts after each.
+    twin = make_env(num_envs=1_000, robot=robot, num_rays=1)
+    twin.reset(start, set_state=True)
+    contacts = twin.batch.bind("ncon")
+    seen, driving = torch.zeros(2, dtype=torch.int64), torch.ones(1_000, dtype=torch.bool)
     for _ in range(8):
+        before = env.batch.state.copy()
         current = env.step(current.set("action", env.action_spec.rand()))["next"]
-        env.batch.forward()
-        touching = torch.from_numpy(contacts > 0).reshape(-1)
+        twin.batch.state[...] = before
+        twin._view["ctrl"].copy_(env._view["ctrl"])
+        touching = torch.zeros(1_000, dtype=torch.bool)
+        for _ in range(env.frame_skip):
+            twin.batch.step(nstep=1)
+            twin.batch.forward()
+            touching |= torch.from_numpy(contacts > 0).reshape(-1)
         flagged = (current["collision_human"] | current["collision_obstacle"]).squeeze(-1)
-        assert torch.equal(flagged, touching)
-        seen += torch.stack((flagged, ~flagged)).sum(-1)
-    assert (seen > 400).all()
+        # An episode ends with its first contact. Who overlaps with something is flung away by it.
+        assert torch.equal(flagged[driving], touching[driving])
+        seen += torch.stack((flagged[driving], ~flagged[driving])).long().sum(-1)
+        driving &= ~touching
+    assert (seen > 100).all()

@@ -243,12 +243,12 @@ def test_faults_leave_the_scenes_of_a_seed_unchanged(kwargs):
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"range_noise": -0.1}, "Noise must not be negative"),
-        ({"velocity_noise": -0.1}, "Noise must not be negative"),
-        ({"range_noise": math.nan}, "Noise must not be negative"),
+        ({"range_noise": -0.1}, "range_noise must not be negative"),
+        ({"velocity_noise": -0.1}, "velocity_noise must not be negative"),
+        ({"range_noise": math.nan}, "range_noise must be a number or a pair"),
         ({"dropout": 1.5}, r"probability in \[0, 1\], got 1.5"),
         ({"dropout": -0.5}, r"probability in \[0, 1\], got -0.5"),
-        ({"latency": 2}, "latency must be 0 or 1 control steps, got 2"),
+        ({"latency": 4}, "latency must be 0 to 3 control steps, got 4"),
     ],
 )
 def test_faults_are_checked(kwargs, message):

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from envs import HUMAN_RADIUS
-from envs.lidar import _compiled
+from envs.lidar import compiled
 from envs.mjcf import LIDAR_HEIGHT
 from tests._navigation import F64, make_env, place
 
@@ -140,7 +140,7 @@ def test_functions_compile_where_the_result_cannot_be_kept_on_disk():
     # Of no file, and so refused by the cache as on a read-only system without a home.
     namespace = {}
     exec("def double(x): return 2 * x", namespace)
-    double = _compiled(namespace["double"])
+    double = compiled(namespace["double"])
     assert double(3.0) == 6.0
     assert double.signatures
 

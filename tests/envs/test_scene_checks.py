@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from envs import HUMAN_RADIUS, SCENES, NavigationEnv, Scene
+from envs.catalogue import MET
 from envs.scene_checks import _may_come_near, checked, problems, solvable
 from torchrl_morl.evaluation import shortest_path_length
 from torchrl_morl.geometry import segment_box_distance
@@ -171,7 +172,8 @@ def test_the_quick_search_for_a_way_finds_no_other_ways():
     assert quick.sum() > 0.9 * exact.sum()
 
 
-@pytest.mark.parametrize("name", sorted(SCENES))
+# The others: tests/envs/test_layouts.py.
+@pytest.mark.parametrize("name", sorted(SCENES.keys() - MET.keys() - {"everyday"}))
 @pytest.mark.parametrize("radius", [0.177, 0.215])
 def test_the_scenes_that_come_with_the_project_pass(name, radius):
     scene = SCENES[name]

@@ -9,6 +9,7 @@ import pickle
 
 import pytest
 import torch
+import yaml
 from omegaconf import OmegaConf
 
 from envs import HUMAN_RADIUS, TURTLEBOT2, NavigationEnv, get_scene
@@ -312,6 +313,20 @@ def test_places_that_hold_no_scene(tmp_path):
         get_scene(tmp_path / "binary.yaml")
     with pytest.raises(ValueError, match="at most 1,000,000"):
         get_scene(_written(tmp_path, "#" * 1_000_001))
-    for source in (3, None, ["static"], "doorway"):
-        with pytest.raises(ValueError, match=r"Unknown scene .*: choose one of \['corridor'"):
+    for source in (3, None, ["static"], "doorways"):
+        with pytest.raises(
+            ValueError,
+            match=r"Unknown scene .*: choose one of \['ahead', 'any_heading', 'boxes', 'corridor'",
+        ):
             get_scene(source)
+
+
+def test_a_mixture_finds_files_beside_it_and_not_itself(tmp_path, monkeypatch):
+    monkeypatch.chdir("/")
+    hall = {"start": [0, 0, 0], "goal": [8, 0], "human": [4, 1.5]}
+    (tmp_path / "hall.yaml").write_text(yaml.safe_dump(hall))
+    (tmp_path / "mine.yaml").write_text("mixture: {hall.yaml: 1, static: 1}")
+    assert get_scene(tmp_path / "mine.yaml").num_boxes == get_scene("static").num_boxes
+    (tmp_path / "hall.yaml").write_text("mixture: {mine.yaml: 1}")
+    with pytest.raises(ValueError, match=r"mine\.yaml is a mixture of itself: leave it out"):
+        get_scene(tmp_path / "mine.yaml")

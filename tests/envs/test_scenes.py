@@ -275,7 +275,7 @@ def test_names_are_looked_up_and_objects_pass_through():
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"scene": "maze"}, r"Unknown scene 'maze': choose one of \['corridor', 'empty', "),
+        ({"scene": "maze"}, r"Unknown scene 'maze': choose one of \['ahead', 'any_heading', "),
         ({"robot": "spot"}, r"Unknown robot 'spot': choose one of \['hsr', 'turtlebot2'\]"),
         ({"drive": "legs"}, r"Unknown drive 'legs': choose 'planar' or 'wheels'"),
     ],

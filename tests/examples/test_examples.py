@@ -148,17 +148,26 @@ def _blocks(page: str, language: str) -> list[str]:
 
 
 def test_the_files_of_the_pages_are_taken(tmp_path):
-    (text,), (other,) = _blocks("scene.md", "yaml"), _blocks("robot.md", "yaml")
-    scene, robot = tmp_path / "doorway.yaml", tmp_path / "my_robot.yaml"
-    scene.write_text(text)
-    robot.write_text(other)
-    env = NavigationEnv(scene=scene, robot=robot, num_envs=2, num_threads=1, seed=0)
-    assert env.scene.num_boxes == 2 and env.robot.max_speed == 0.8
-    env.rollout(3)
+    for text in (*_blocks("scene.md", "yaml"), *_blocks("robot.md", "yaml")):
+        # Its first line is a comment with its name.
+        (tmp_path / text.split()[1]).write_text(text)
+    found = {}
+    for scene in ("doorway.yaml", "hall.yaml", "mine.yaml"):
+        env = NavigationEnv(
+            scene=tmp_path / scene,
+            robot=tmp_path / "my_robot.yaml",
+            num_envs=2,
+            num_threads=1,
+            seed=0,
+        )
+        assert env.robot.max_speed == 0.8
+        env.rollout(3)
+        found[scene] = (env.scene.num_boxes, env.scene.num_people)
+    assert found["doorway.yaml"][0] == 2 and found["hall.yaml"] == (1, 2)
 
 
 def test_the_refusals_of_the_page_are_those_of_the_reader(tmp_path):
-    (text,) = _blocks("scene.md", "yaml")
+    text, *_ = _blocks("scene.md", "yaml")
     shown = re.findall(r"^doorway\.yaml: .*$", (PAGES / "scene.md").read_text(), re.MULTILINE)
     fixed = OmegaConf.to_container(OmegaConf.create(text))
     fixed |= {"start": [0, 0, 0], "goal": [8, 0], "human": [5, 0]}

@@ -344,7 +344,7 @@ def test_evaluation_of_another_scene_and_robot(policy, monkeypatch, capsys):
             "--preferences must be numbers, for distance,efficiency, with commas between, got 'a,b'",
         ),
         (["--preferences", "1,0", "--grid"], "not allowed with argument"),
-        (["--scene", "nowhere"], "Unknown scene 'nowhere': choose one of ['corridor', "),
+        (["--scene", "nowhere"], "Unknown scene 'nowhere': choose one of ['ahead', "),
         (["--robot", "broom"], "Unknown robot 'broom': choose one of ['hsr', 'turtlebot2']"),
         (["--drive", "legs"], "argument --drive: invalid choice: 'legs'"),
         (["--episodes", "0"], "--episodes: must be a whole number from 1 to 100000, got '0'"),

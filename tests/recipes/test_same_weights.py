@@ -3,6 +3,7 @@
 The numbers are those of the last commit of 0.1 (docs/history/releases.md) with the versions of constraints.txt
 on x86-64, where the weights are the same bit by bit. Elsewhere sums round differently, hence the tolerance. A
 change of the training that is meant changes them: print ``fingerprint`` anew, and say why in the changelog.
+Those of the reward model are of contacts that count at every substep, which end some noisy rollouts sooner.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ MO_PPO = [
     "logger.backends=[csv]",
 ]
 BEFORE = {
-    "drex": [-0.49106088, 1.0161214, -0.0014710861, -0.02367475],
+    "drex": [-0.49259144, 1.0074312, -0.0014608184, -0.021893891],
     "clone": [-0.055013006, 1.5258548, 0.029648502, 0.043182092],
     "pd_morl": [0.053731115, 0.98067677, 0.3947929, -0.11246087, -4.4106249e-05, 0.009999958],
     "pd_morl_demo": [

@@ -57,6 +57,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         help="of the lidar: ahead and to the left of the rotation centre (m), yaw (rad)",
     )
     parser.add_argument(
+        "--robot",
+        nargs=6,
+        type=float,
+        metavar=("RADIUS", "SPEED", "TURN_RATE", "VIEW", "RANGE", "AHEAD"),
+        help="for policies that read which robot they drive: m, m/s, rad/s, and of the lidar rad, m, m",
+    )
+    parser.add_argument(
         "--runner",
         type=Path,
         help="write the checks beside it: a file that needs numpy and onnxruntime alone",
@@ -71,10 +78,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if given.lidar is None:
             if given.mount is not None:
                 raise ValueError("--mount is of a lidar: give --lidar as well.")
-            lidar = training_lidar(policy)
+            lidar = training_lidar(policy, robot=given.robot)
         else:
             lidar = _lidar(given.lidar, given.mount or (0.0, 0.0, 0.0))
-        export_onnx(policy, given.onnx, lidar=lidar)
+        export_onnx(policy, given.onnx, lidar=lidar, robot=given.robot)
         if given.runner is not None:
             write_new(given.runner, Path(onnx_runner.__file__).read_bytes())
     except (OSError, ValueError, ImportError) as error:

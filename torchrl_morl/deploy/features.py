@@ -14,8 +14,17 @@ from torchrl_morl.transforms import (
     VelocityInFrame,
 )
 from torchrl_morl.transforms.polar import polar_features
+from torchrl_morl.transforms.robot import (
+    ROBOT_SCALES,
+    HullRange,
+    InUnitsOf,
+    IsNobody,
+    RobotScale,
+    hull_ranges,
+)
 
-from .sensing import Sensing
+from .onnx_runner import FASTEST_HUMAN
+from .sensing import NUM_ROBOT, Sensing
 
 __all__ = [
     "GOAL_SCALE",
@@ -32,15 +41,28 @@ __all__ = [
 NUM_SECTORS = 30
 GOAL_SCALE = 5.0
 HUMAN_SCALE = 2.0
-PARTS = {"lidar": NUM_SECTORS, "goal": 3, "human": 3, "human_velocity": 2}
+PARTS = {
+    "lidar": NUM_SECTORS,
+    "goal": 3,
+    "human": 3,
+    "human_velocity": 2,
+    "nobody": 1,
+    "robot": NUM_ROBOT,
+}
 """What the observation can have, in this order, and how many entries each part takes."""
+
+_AS_THEY_ARE = ("human_velocity", "nobody")
 
 OBSERVATION_SIZE = PARTS["lidar"] + PARTS["goal"] + PARTS["human"]
 """Entries of the observation, unless arguments of :func:`policy_transforms` change it."""
 
 
 def observation_parts(
-    *, observe_human: bool = True, observe_human_velocity: bool = False
+    *,
+    observe_human: bool = True,
+    observe_human_velocity: bool = False,
+    observe_nobody: bool = False,
+    observe_robot: bool = False,
 ) -> dict[str, range]:
     """Where the parts of the observation of :func:`policy_transforms` lie.
 
@@ -48,12 +70,18 @@ def observation_parts(
         ValueError: for an argument that is neither true nor false, or for the velocity of a human
             who is not observed.
     """
-    optional = {"human": observe_human, "human_velocity": observe_human_velocity}
+    optional = {
+        "human": observe_human,
+        "human_velocity": observe_human_velocity,
+        "nobody": observe_nobody,
+        "robot": observe_robot,
+    }
     for name, value in optional.items():
         if not isinstance(value, bool):
             raise ValueError(f"observe_{name} must be true or false, got {value!r}.")
-    if observe_human_velocity and not observe_human:
-        raise ValueError("observe_human_velocity needs observe_human.")
+    for name in ("human_velocity", "nobody"):
+        if optional[name] and not observe_human:
+            raise ValueError(f"observe_{name} needs observe_human.")
     parts, end = {}, 0
     for name, size in PARTS.items():
         if optional.get(name, True):
@@ -67,6 +95,8 @@ def policy_transforms(
     period: float = 0.2,
     observe_human: bool = True,
     observe_human_velocity: bool = False,
+    observe_nobody: bool = False,
+    observe_robot: bool = False,
     range_min: float | None = None,
 ) -> Compose:
     """Transforms that build the policy's ``observation`` ``[*B, 36]`` and scale its action.
@@ -92,6 +122,9 @@ def policy_transforms(
             sees the human, as an obstacle like any other.
         observe_human_velocity: two more entries, 36 and 37: the human's velocity over the ground in
             the last step, ahead and to the left, m/s.
+        observe_nobody: one more entry: 1 where nobody is, else 0.
+        observe_robot: six more entries say which robot it is, see :func:`observation`; ranges are then
+            those to its hull, and the human's velocity is in units of its top speed. Reads ``robot``.
         range_min: for scans of a real lidar, which may be invalid or infinite: see
             :class:`~torchrl_morl.transforms.LidarMinPool`. Without it they are refused.
 
@@ -99,8 +132,12 @@ def policy_transforms(
         ValueError: see :func:`observation_parts`.
     """
     parts = observation_parts(
-        observe_human=observe_human, observe_human_velocity=observe_human_velocity
+        observe_human=observe_human,
+        observe_human_velocity=observe_human_velocity,
+        observe_nobody=observe_nobody,
+        observe_robot=observe_robot,
     )
+    in_keys = [name if name in _AS_THEY_ARE else f"{name}_features" for name in parts]
     scales = {"goal": GOAL_SCALE} | ({"human": HUMAN_SCALE} if observe_human else {})
     return Compose(
         ActionScaling(),
@@ -109,16 +146,32 @@ def policy_transforms(
         LidarMinPool(
             NUM_SECTORS, range_min=range_min, range_max=None if range_min is None else max_range
         ),
-        UnaryTransform(in_keys=["lidar"], out_keys=["lidar_features"], fn=LogRange(max_range)),
+        *([HullRange()] if observe_robot else []),
+        UnaryTransform(
+            in_keys=["hull_lidar" if observe_robot else "lidar"],
+            out_keys=["lidar_features"],
+            fn=LogRange(max_range),
+        ),
         PolarFeatures(
             in_keys=list(scales),
             out_keys=[f"{name}_features" for name in scales],
             scale=list(scales.values()),
         ),
         # Metres per second are of order one as they are.
-        *([VelocityInFrame(period=period)] if observe_human_velocity else []),
+        *(
+            [VelocityInFrame(period=period, max_speed=FASTEST_HUMAN)]
+            if observe_human_velocity
+            else []
+        ),
+        *([InUnitsOf("human_velocity")] if observe_human_velocity and observe_robot else []),
+        *([UnaryTransform(["human"], ["nobody"], fn=IsNobody())] if observe_nobody else []),
+        *(
+            [UnaryTransform(["robot"], ["robot_features"], fn=RobotScale())]
+            if observe_robot
+            else []
+        ),
         CatTensors(
-            in_keys=["human_velocity" if p == "human_velocity" else f"{p}_features" for p in parts],
+            in_keys=in_keys,
             out_key="observation",
             dim=-1,
             sort=False,
@@ -133,6 +186,8 @@ def observation(
     goal: Tensor,
     human: Tensor | None = None,
     human_velocity: Tensor | None = None,
+    nobody: Tensor | None = None,
+    robot: Tensor | None = None,
 ) -> Tensor:
     """What the network reads: the same features as those of :func:`policy_transforms`.
 
@@ -146,6 +201,9 @@ def observation(
         goal: distance (m) and bearing (rad), ``[*B, 2]``.
         human: the same, for policies that read it.
         human_velocity: over the ground, ahead and to the left, m/s, ``[*B, 2]``, likewise.
+        nobody: 1 where nobody is, else 0, ``[*B, 1]``, likewise.
+        robot: likewise, ``[*B, 6]``: radius (m), top speed (m/s), top turn rate (rad/s), view of the
+            lidar (rad), its range (m), and how far ahead of the rotation centre it is (m).
 
     Returns:
         ``[*B, observation_size]``.
@@ -157,11 +215,17 @@ def observation(
         >>> observation(Sensing(), lidar=nothing_near, goal=goal, human=human)[30:]
         tensor([1.0000, 0.0000, 1.0000, 2.5000, 0.0000, 1.0000])
     """
+    if sensing.observe_robot:
+        lidar = hull_ranges(lidar, robot)
     parts = [LogRange(sensing.max_range)(lidar), polar_features(goal, sensing.goal_scale)]
     if sensing.observe_human:
         parts.append(polar_features(human, sensing.human_scale))
     if sensing.observe_human_velocity:
-        parts.append(human_velocity)
+        parts.append(human_velocity / robot[..., 1:2] if sensing.observe_robot else human_velocity)
+    if sensing.observe_nobody:
+        parts.append(nobody)
+    if sensing.observe_robot:
+        parts.append(RobotScale()(robot))
     return torch.cat(parts, dim=-1)
 
 
@@ -193,9 +257,21 @@ class RowFeatures:
             # The bearing twice, for its sine and its cosine.
             sources += [distance, distance + 1, distance + 1]
             scales += [scale, 1.0, 1.0]
-        rest = 2 * sensing.observe_human_velocity + num_tunable
-        sources += range(sources[-1] + 1, sources[-1] + 1 + rest)
-        scales += [1.0] * rest
+        self.observe_robot = sensing.observe_robot
+        self.observe_human_velocity = sensing.observe_human_velocity
+        robot = ROBOT_SCALES if sensing.observe_robot else ()
+        rest = [1.0] * (2 * sensing.observe_human_velocity + sensing.observe_nobody)
+        rest += [*robot, *([1.0] * num_tunable)]
+        sources += range(sources[-1] + 1, sources[-1] + 1 + len(rest))
+        scales += rest
+        # In the row, where bearings stand once.
+        self._robot = sources[-1] + 1 - num_tunable - len(robot)
+        self._velocity = self.num_sectors + 2 * self.num_positions
+        self._human = self.num_sectors + 2
+        self._mark = self._velocity + 2 * sensing.observe_human_velocity
+        distance, bearing = sensing.nobody
+        # Distances beyond those of the training read as the furthest of them.
+        self._is_nobody = IsNobody(min(distance, sensing.human_range[1]), bearing)
         self._sources = torch.tensor(sources, device=like.device)
         self._scales, self._three = like.new_tensor(scales), like.new_tensor(3.0)
 
@@ -203,9 +279,11 @@ class RowFeatures:
         """Features ``[*B, observation_size + T]``.
 
         Args:
-            row: lidar, goal, human and human_velocity, as far as the policy reads them, and preference,
+            row: lidar, goal, human, human_velocity, nobody and robot, as far as the policy reads them, and preference,
                 ``[*B, R]``. What stands behind them is ignored.
         """
+        if self.observe_robot:
+            row = self._of_hull(row)
         features = row.index_select(-1, self._sources).div_(self._scales)
         lidar = features.narrow(-1, 0, self.num_sectors)
         lidar.clamp_min_(1e-3 / self.max_range).log_().div_(self._three)
@@ -217,3 +295,21 @@ class RowFeatures:
         sine.sin_()
         cosine.cos_()
         return features
+
+    def mark_nobody(self, row: Tensor) -> None:
+        """Write the mark of a policy that reads it into a row, in place, from the human in it."""
+        row[..., self._mark : self._mark + 1] = self._is_nobody(row.narrow(-1, self._human, 2))
+
+    def robot_of(self, row: Tensor) -> Tensor:
+        """The robot in a row of a policy that reads it, ``[*B, 6]``."""
+        return row.narrow(-1, self._robot, len(ROBOT_SCALES))
+
+    def _of_hull(self, row: Tensor) -> Tensor:
+        """The same row with ranges to the hull, and velocities in units of the top speed."""
+        row = row.clone()
+        robot = self.robot_of(row)
+        lidar = row.narrow(-1, 0, self.num_sectors)
+        lidar.copy_(hull_ranges(lidar, robot))
+        if self.observe_human_velocity:
+            row.narrow(-1, self._velocity, 2).div_(robot[..., 1:2])
+        return row

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from torchrl_morl.transforms.robot import IsNobody
+
 from .features import observation
 from .lidar import SECTOR_EDGE, LidarGeometry, sector_of
 from .policy import Policy
-from .sensing import Sensing
+from .sensing import Limits, Sensing
 
 __all__ = ["PolicyGraph", "SectorMinima"]
 
@@ -110,8 +114,12 @@ class PolicyGraph(nn.Module):
         policy: from :func:`load_policy`.
         lidar: of the robot.
 
+    Keyword Args:
+        robot: which one it is, six numbers as of :meth:`Sensing.robot`, for policies that read it.
+
     Raises:
-        ValueError: for a policy that does not tell what it senses, or a lidar too coarse for it.
+        ValueError: for a policy that does not tell what it senses, a lidar too coarse for it, or a robot
+            that :meth:`Sensing.robot` refuses.
 
     Example:
         >>> import torch
@@ -125,17 +133,28 @@ class PolicyGraph(nn.Module):
         torch.Size([1, 2])
     """
 
-    def __init__(self, policy: Policy, lidar: LidarGeometry) -> None:
+    def __init__(
+        self, policy: Policy, lidar: LidarGeometry, *, robot: Sequence[float] | None = None
+    ) -> None:
         super().__init__()
         if policy.sensing is None:
             raise ValueError("the file of this policy does not tell what it senses.")
         lidar.check(policy.sensing)
-        self.sensing = policy.sensing
-        self.sectors = SectorMinima(lidar, policy.sensing)
+        self.sensing, self.limits = policy.sensing, policy.limits
+        robot = self.sensing.robot(robot)
+        if robot is not None:
+            # Of such a policy, ranges are those of the lidar where it is, and limits those of the robot.
+            _, speed, turn_rate, *_, ahead = robot
+            self.sensing = dataclasses.replace(self.sensing, lidar_origin=(ahead, 0.0))
+            self.limits = Limits((0.0, speed), (-turn_rate, turn_rate))
+        self.sectors = SectorMinima(lidar, self.sensing)
         # The layers alone: the check of preferences branches on values.
         self.layers = nn.Sequential(*policy.actor[0].module)
         self.dtype = next(policy.actor.parameters()).dtype
-        low, high = torch.tensor((policy.limits.speed, policy.limits.turn_rate), dtype=self.dtype).T
+        low, high = torch.tensor((self.limits.speed, self.limits.turn_rate), dtype=self.dtype).T
+        self.register_buffer(
+            "robot", None if robot is None else torch.tensor(robot, dtype=self.dtype)
+        )
         self.register_buffer("middle", (high + low) / 2)
         self.register_buffer("half_range", (high - low) / 2)
         reads = policy.sensing
@@ -173,6 +192,8 @@ class PolicyGraph(nn.Module):
             goal=_clamped(goal, self.sensing.goal_range[1]),
             human=None if human is None else _clamped(human, self.sensing.human_range[1]),
             human_velocity=human_velocity,
+            nobody=IsNobody(*self.sensing.nobody)(human) if self.sensing.observe_nobody else None,
+            robot=None if self.robot is None else self.robot.expand(goal.shape[0], -1),
         )
         action = self.layers(torch.cat([features, preference], dim=-1)).tanh()
         return self.middle + self.half_range * action

@@ -39,11 +39,20 @@ _UNITS = {
 }
 
 
-def training_lidar(policy: Policy, num_beams: int = 720) -> LidarGeometry:
+def training_lidar(
+    policy: Policy, num_beams: int = 720, *, robot: Sequence[float] | None = None
+) -> LidarGeometry:
     """A lidar as that of the training: all around, counter-clockwise from straight ahead.
 
+    Args:
+        policy: from :func:`load_policy`.
+        num_beams: of the lidar.
+
+    Keyword Args:
+        robot: which one it is on, for policies that read it: see :meth:`Sensing.robot`.
+
     Raises:
-        ValueError: for a policy that does not tell what it senses.
+        ValueError: for a policy that does not tell what it senses, or a robot that is refused.
 
     Example:
         >>> from torchrl_morl.testing import untrained_policy
@@ -54,17 +63,25 @@ def training_lidar(policy: Policy, num_beams: int = 720) -> LidarGeometry:
     if policy.sensing is None:
         raise ValueError("the file of this policy does not tell what it senses.")
     sensing = policy.sensing
+    numbers = sensing.robot(robot)
+    origin = sensing.lidar_origin if numbers is None else (numbers[-1], 0.0)
     return LidarGeometry(
         first_angle=0.0,
         increment=2 * np.pi / num_beams,
         num_beams=num_beams,
         range_min=0.0005,
         range_max=sensing.max_range,
-        mount=(*sensing.lidar_origin, 0.0),
+        mount=(*origin, 0.0),
     )
 
 
-def export_onnx(policy: Policy, file: str | Path, *, lidar: LidarGeometry) -> Path:
+def export_onnx(
+    policy: Policy,
+    file: str | Path,
+    *,
+    lidar: LidarGeometry,
+    robot: Sequence[float] | None = None,
+) -> Path:
     """Write a policy as one ONNX file: raw ranges, goal, human and preference in, command out.
 
     Sectors, features, clamps and limits are inside, in standard operators of opset 18; the batch is
@@ -95,6 +112,8 @@ def export_onnx(policy: Policy, file: str | Path, *, lidar: LidarGeometry) -> Pa
 
     Keyword Args:
         lidar: of the robot; its geometry becomes part of the file.
+        robot: which one it is, six numbers as of :meth:`Sensing.robot`, for policies that read it;
+            they become part of the file, too.
 
     Returns:
         The file.
@@ -104,7 +123,7 @@ def export_onnx(policy: Policy, file: str | Path, *, lidar: LidarGeometry) -> Pa
         FileNotFoundError: if there is no folder for it.
         ImportError: without the extra ``export``.
         ValueError: for a policy that does not tell what it senses or is of float64, for a lidar too
-            coarse for it, or where the file would not compute what the policy does.
+            coarse for it, a robot that :meth:`Sensing.robot` refuses, or where the file would not compute what the policy does.
 
     Example:
         >>> import math, tempfile
@@ -121,7 +140,7 @@ def export_onnx(policy: Policy, file: str | Path, *, lidar: LidarGeometry) -> Pa
         raise ValueError(f"lidar must be a LidarGeometry, got {lidar!r}.")
     path = Path(file)
     check_new(path)
-    graph = PolicyGraph(policy, lidar).cpu().eval()
+    graph = PolicyGraph(policy, lidar, robot=robot).cpu().eval()
     if graph.dtype != torch.float32:
         raise ValueError(
             f"an ONNX file has float32 weights, this policy has {graph.dtype}: save it again after "
@@ -144,7 +163,7 @@ def export_onnx(policy: Policy, file: str | Path, *, lidar: LidarGeometry) -> Pa
         )
     model = program.model_proto
     _strip(model)
-    onnx.helper.set_model_props(model, _metadata(policy, lidar, graph.input_names))
+    onnx.helper.set_model_props(model, _metadata(policy, lidar, graph))
     data = model.SerializeToString()
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     inputs = _example(graph, batch=64, seed=1)
@@ -161,10 +180,10 @@ def export_onnx(policy: Policy, file: str | Path, *, lidar: LidarGeometry) -> Pa
     return path
 
 
-def _metadata(policy: Policy, lidar: LidarGeometry, inputs: Sequence[str]) -> dict[str, str]:
+def _metadata(policy: Policy, lidar: LidarGeometry, graph: PolicyGraph) -> dict[str, str]:
     """What an exported file tells of itself, every value as JSON."""
     space = policy.preference_space
-    units: dict[str, Any] = {name: _UNITS[name] for name in inputs if name in _UNITS}
+    units: dict[str, Any] = {name: _UNITS[name] for name in graph.input_names if name in _UNITS}
     units["preference"] = {"entries": list(space.tunable), "unit": "1"}
     values = {
         "torchrl_morl_format": FORMAT,
@@ -174,10 +193,12 @@ def _metadata(policy: Policy, lidar: LidarGeometry, inputs: Sequence[str]) -> di
         "inputs": units,
         "outputs": {"command": {"entries": ["speed", "turn_rate"], "unit": ["m/s", "rad/s"]}},
         "lidar": dataclasses.asdict(lidar),
-        "sensing": policy.sensing.to_json(),
-        "limits": policy.limits.to_json(),
+        "sensing": graph.sensing.to_json(),
+        "limits": graph.limits.to_json(),
         "period": policy.period,
         "robot": policy.robot,
+        # Of a policy that reads which one it drives: the one that this file is for.
+        **({} if graph.robot is None else {"robot_numbers": graph.robot.tolist()}),
         "card": null_for_nan(policy.card),
         "weights_sha256": hashlib.sha256(weights_bytes(policy.actor)[0]).hexdigest(),
     }

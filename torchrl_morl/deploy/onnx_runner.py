@@ -154,7 +154,7 @@ class Runner(abc.ABC):
         self, human: tuple[float, float], odometry: Sequence[float], stamp: float
     ) -> tuple[float, float]:
         """Of the human since the last step, along the axes of the robot."""
-        x, y, heading = _numbers("odometry", odometry, "x, y and heading", 3)
+        x, y, heading = numbers_of("odometry", odometry, "x, y and heading", 3)
         distance, bearing = human
         x += distance * math.cos(heading + bearing)
         y += distance * math.sin(heading + bearing)
@@ -265,7 +265,7 @@ class OnnxRunner(Runner):
                 if value is None:
                     give = "give human_velocity= (ahead, left; m/s) or odometry="
                     raise ValueError(f"this policy reads the human's velocity: {give}")
-                value = _numbers(name, value, "two speeds", 2)
+                value = numbers_of(name, value, "two speeds", 2)
             with np.errstate(over="ignore"):
                 rows[name] = np.asarray(value, dtype=np.float32)[None]
             if name != "ranges" and not np.isfinite(rows[name]).all():
@@ -346,7 +346,7 @@ def _array(value: ArrayLike, kinds: str, wrong: str, wrong_dtype: str) -> np.nda
     return array
 
 
-def _numbers(name: str, value: Any, what: str, count: int) -> tuple[float, ...]:
+def numbers_of(name: str, value: Any, what: str, count: int) -> tuple[float, ...]:
     # A set or a mapping has no order that anybody meant.
     unordered = isinstance(value, (Set, Mapping))
     try:
@@ -361,7 +361,7 @@ def _numbers(name: str, value: Any, what: str, count: int) -> tuple[float, ...]:
 
 
 def _polar(name: str, value: Any) -> tuple[float, float]:
-    distance, bearing = _numbers(name, value, "a distance and a bearing", 2)
+    distance, bearing = numbers_of(name, value, "a distance and a bearing", 2)
     if distance < 0:
         raise ValueError(
             f"{name} must be finite, with a distance of at least 0, got {(distance, bearing)}"

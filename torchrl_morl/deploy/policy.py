@@ -21,7 +21,7 @@ from torchrl_morl.transforms import check_finite
 from .entries import one_line
 from .features import RowFeatures
 from .onnx_runner import TOLERANCE
-from .sensing import Limits, Sensing
+from .sensing import NUM_ROBOT, SMALLEST, Limits, Sensing
 
 __all__ = ["Policy"]
 
@@ -61,6 +61,7 @@ class Policy:
         goal: ArrayLike | Tensor,
         human: ArrayLike | Tensor | None = None,
         human_velocity: ArrayLike | Tensor | None = None,
+        robot: ArrayLike | Tensor | None = None,
     ) -> np.ndarray | Tensor:
         """Command for what is sensed, in physical units. Arrays, lists or tensors, of any dtype.
 
@@ -74,6 +75,9 @@ class Policy:
             human: the same of the human; ``None`` if there is nobody.
             human_velocity: of the human over the ground, along the robot's axes, ahead and to the
                 left, ``[*B, 2]``, m/s. For policies that read it.
+            robot: which robot it drives, ``[*B, 6]``, see
+                :func:`torchrl_morl.deploy.features.observation`; its limits are then those of the
+                command. For policies that read it.
 
         Returns:
             Forward speed (m/s) and turn rate (rad/s), ``[*B, 2]``: a tensor if an input is one,
@@ -112,10 +116,17 @@ class Policy:
                     "the left in m/s, or odometry= to PolicyRunner.step."
                 )
             given["human_velocity"] = (0.0, 0.0) if human_velocity is None else human_velocity
+        if sensing.observe_nobody:
+            given["nobody"] = (0.0,)  # the place of the mark, which is set below
+        if sensing.observe_robot:
+            given["robot"] = sensing.robot(robot) if robot is None else robot
         given["preference"] = preference
         tensors = any([isinstance(value, Tensor) for value in given.values()])
         with torch.inference_mode():
-            action = self._features(self._checked(given, tensors))
+            row = self._checked(given, tensors)
+            if sensing.observe_nobody:
+                self._features.mark_nobody(row)
+            action = self._features(row)
             if torch.is_autocast_enabled(action.device.type):
                 action = self.actor[0].module(action)
             else:
@@ -124,8 +135,15 @@ class Policy:
                 for layer in self._layers:
                     action = layer(action)
             action = action.tanh()
-            middle, half = self._middle_and_half
-            action = torch.addcmul(middle, half, action)
+            if sensing.observe_robot:
+                limits = self._features.robot_of(row)[..., 1:3]
+                # Forwards from 0, turns to both sides.
+                action = (
+                    action * action.new_tensor((0.5, 1.0)) + action.new_tensor((0.5, 0.0))
+                ) * limits
+            else:
+                middle, half = self._middle_and_half
+                action = torch.addcmul(middle, half, action)
             if not math.isfinite(action.sum()):
                 raise ValueError(
                     f"the policy's command is not finite, {action.tolist()}: its weights are of no "
@@ -161,6 +179,8 @@ class Policy:
             "goal": 2,
             "human": 2,
             "human_velocity": 2,
+            "nobody": 1,
+            "robot": NUM_ROBOT,
             "preference": self.preference_space.num_tunable,
         }
 
@@ -220,6 +240,10 @@ class Policy:
         self.preference_space.validate(inputs["preference"], tol=TOLERANCE)
         for name, value in inputs.items():
             lengths = value if name == "lidar" else value[..., :1]
+            if name == "robot" and value[..., :-1].min() < SMALLEST:
+                raise ValueError(
+                    f"robot must have a radius, limits, view and range above 0, got {value.tolist()}."
+                )
             if name != "human_velocity" and lengths.min() < 0:
                 raise ValueError(
                     f"{name} has the length {lengths.min():g} m: it must not be negative."
@@ -235,6 +259,11 @@ class Policy:
             rows += [(0.0, huge, sensing.human_range[1]), (-huge, huge, huge)]
         if sensing.observe_human_velocity:
             rows += [(-huge, huge, huge)] * 2
+        if sensing.observe_nobody:
+            rows += [(0.0, 1.0, 1.0)]
+        if sensing.observe_robot:
+            # Radius, speed, turn rate, view and range are above zero.
+            rows += [(SMALLEST, huge, huge)] * (NUM_ROBOT - 1) + [(-huge, huge, huge)]
         rows += [(0.0, huge, huge)] * self.preference_space.num_tunable
         rows += [(1 - TOLERANCE, 1 + TOLERANCE, 1 + TOLERANCE)]  # the sum of the preference
         low, high, trained = self._like.new_tensor(rows).T.contiguous()

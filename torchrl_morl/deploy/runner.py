@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ class PolicyRunner(Runner):
         lidar: of the robot.
         goal_radius: distance at which the goal is reached, metres; that of the training if ``None``.
         timeout: age at which an input is too old, seconds; one period if ``None``.
+        robot: which robot it is, six numbers as of :meth:`Policy.act`, for policies that read it.
         max_speed: of the robot, m/s, if lower than the policy's.
         max_turn_rate: likewise, rad/s. Speed and turn rate are lowered together, so that the robot
             follows the same arc, more slowly.
@@ -83,6 +85,7 @@ class PolicyRunner(Runner):
         lidar: LidarGeometry,
         goal_radius: float | None = None,
         timeout: float | None = None,
+        robot: Sequence[float] | None = None,
         max_speed: float | None = None,
         max_turn_rate: float | None = None,
     ) -> None:
@@ -93,23 +96,30 @@ class PolicyRunner(Runner):
         if policy.sensing is None:
             raise ValueError("the file of this policy does not tell what it senses.")
         lidar.check(policy.sensing)
+        self.robot = policy.sensing.robot(robot)
+        self._origin, limits = policy.sensing.lidar_origin, policy.limits.to_json()
+        if self.robot is not None:
+            # Of such a policy, ranges are those of the lidar where it is, and limits those of the robot.
+            _, speed, turn_rate, *_, ahead = self.robot
+            self._origin, limits = (
+                (ahead, 0.0),
+                {"speed": (0.0, speed), "turn_rate": (-turn_rate, turn_rate)},
+            )
         self.policy, self.lidar = policy, lidar
         nearest_goal, _ = policy.sensing.goal_range
         given = goal_radius, timeout, max_speed, max_turn_rate
-        super().__init__(policy.period, nearest_goal, policy.limits.to_json(), given)
+        super().__init__(policy.period, nearest_goal, limits, given)
 
     def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
         sensing = self.policy.sensing
-        lidar = self.lidar.sectors(
-            ranges, sensing.num_sectors, sensing.max_range, sensing.lidar_origin
-        )
+        lidar = self.lidar.sectors(ranges, sensing.num_sectors, sensing.max_range, self._origin)
         if lidar.ndim != 1:
             raise ValueError(f"one scan at a time, got {len(lidar)}")
         unknown = np.isnan(lidar)
         return np.where(unknown, sensing.unknown_range, lidar), not unknown.all()
 
     def _command(self, scan: np.ndarray, inputs: dict[str, Any]) -> tuple[float, float]:
-        command = self.policy.act(lidar=scan, **inputs)
+        command = self.policy.act(lidar=scan, robot=self.robot, **inputs)
         if command.shape != (2,):
             raise ValueError(f"one preference at a time, got {len(command)}")
         return float(command[0]), float(command[1])

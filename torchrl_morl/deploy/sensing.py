@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from .entries import Entries
+from .onnx_runner import numbers_of
 
 __all__ = ["Limits", "Sensing"]
+
+NUM_ROBOT = 6
+"""Numbers of a robot that a policy may read."""
+
+SMALLEST = 1e-3
+"""Of a robot's radius, limits, view and range."""
+
+# Files from before there were these lack them.
+_LATER = ("observe_robot", "observe_nobody")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,6 +43,9 @@ class Sensing:
         human_range: the same for the human.
         nobody: distance and bearing of the human that stands for nobody.
         unknown_range: what a sector of which nothing is known reads.
+        observe_robot: whether it reads which robot it drives: see
+            :func:`torchrl_morl.deploy.features.observation`.
+        observe_nobody: whether it reads a mark for nobody.
         history: observations that the policy reads, the present one included.
 
     Raises:
@@ -58,6 +72,8 @@ class Sensing:
     nobody: tuple[float, float] = (4.0, math.pi)
     unknown_range: float = 4.0
     history: int = 1
+    observe_robot: bool = False
+    observe_nobody: bool = False
 
     def __post_init__(self) -> None:
         for name in ("max_range", "goal_scale", "human_scale", "unknown_range"):
@@ -78,14 +94,49 @@ class Sensing:
             raise self._refused("num_sectors", "between 1 and 10000")
         if self.observe_human_velocity and not self.observe_human:
             raise self._refused("observe_human_velocity", "false where observe_human is")
+        if self.observe_nobody and not self.observe_human:
+            raise self._refused("observe_nobody", "false where observe_human is")
         if self.history != 1:
             raise self._refused("history", "1: this version has no memory")
 
     @property
     def observation_size(self) -> int:
         """Entries of the network's observation."""
-        human = 3 * self.observe_human + 2 * self.observe_human_velocity
-        return self.num_sectors + 3 + human
+        human = 3 * self.observe_human + 2 * self.observe_human_velocity + self.observe_nobody
+        return self.num_sectors + 3 + human + NUM_ROBOT * self.observe_robot
+
+    def robot(self, numbers: Sequence[float] | None) -> tuple[float, ...] | None:
+        """The robot that a policy is to drive: radius (m), top speed (m/s), top turn rate (rad/s), and the
+        lidar's view (rad), range (m) and distance ahead of the rotation centre (m); else ``None``.
+
+        Raises:
+            ValueError: for a robot that the policy does not read, none where it does, or what is none.
+
+        Example:
+            >>> Sensing(observe_robot=True).robot([0.2, 0.5, 3, 6.28, 4, 0])
+            (0.2, 0.5, 3.0, 6.28, 4.0, 0.0)
+            >>> Sensing().robot([0.2, 0.5, 3, 6.28, 4, 0])
+            Traceback (most recent call last):
+            ...
+            ValueError: this policy does not read robot=, sensing.observe_robot is false.
+        """
+        if not self.observe_robot:
+            if numbers is not None:
+                raise ValueError(
+                    "this policy does not read robot=, sensing.observe_robot is false."
+                )
+            return None
+        if numbers is None:
+            raise ValueError(
+                "this policy reads which robot it drives (sensing.observe_robot): give robot=, radius, "
+                "top speed, top turn rate, and the lidar's view, range and distance ahead of the centre."
+            )
+        found = numbers_of("robot", numbers, "six numbers", NUM_ROBOT)
+        if min(found[:-1]) < SMALLEST:
+            raise ValueError(
+                f"robot must have a radius, limits, view and range above 0, got {found}."
+            )
+        return found
 
     def check(self, available: Sensing, source: str = "this environment") -> None:
         """Refuse what shows a policy something else than it was trained with.
@@ -100,6 +151,8 @@ class Sensing:
         for name, reads in (
             ("observe_human", "where the human is"),
             ("observe_human_velocity", "the human's velocity"),
+            ("observe_nobody", "a mark for nobody"),
+            ("observe_robot", "which robot it drives"),
         ):
             mine, theirs = getattr(self, name), getattr(available, name)
             if mine != theirs:
@@ -116,8 +169,9 @@ class Sensing:
                 )
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON values."""
-        return dataclasses.asdict(self)
+        """As JSON values; what older versions do not know is left out where it is not needed."""
+        values = dataclasses.asdict(self)
+        return {name: one for name, one in values.items() if one or name not in _LATER}
 
     @classmethod
     def from_json(cls, entries: Entries) -> Sensing:
@@ -129,6 +183,8 @@ class Sensing:
         readers = {bool: entries.flag, float: entries.number, int: entries.integer}
         values: dict[str, Any] = {}
         for field in dataclasses.fields(cls):
+            if field.name in _LATER and field.name not in entries:
+                continue
             if isinstance(field.default, tuple):
                 values[field.name] = entries.numbers(field.name, 2)
             else:

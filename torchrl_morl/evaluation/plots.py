@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +19,9 @@ __all__ = ["PREFERENCE_COLORS", "draw_paths", "draw_scene"]
 PREFERENCE_COLORS = "viridis"
 """Colour map of preferences: perceptually uniform and safe for colour-blind readers."""
 
+_FURTHEST = 100.0
+"""From the start, metres: what is further away stands for nothing."""
+
 
 def draw_scene(
     ax: Axes,
@@ -32,7 +36,8 @@ def draw_scene(
 ) -> None:
     """Draw start, goal, human and boxes seen from above.
 
-    They are black, white and grey: colours are left to preferences.
+    They are black, white and grey: colours are left to preferences. Boxes and a human more than 100 m from
+    the start stand for none, and are not drawn.
 
     Args:
         ax: axes in metres; their aspect is set to equal.
@@ -52,36 +57,44 @@ def draw_scene(
     with from_extra("viz", "draw_scene"):
         from matplotlib.patches import Circle, Polygon
 
+    begin = np.asarray(start)[:2]
+
+    def there(x: float, y: float) -> bool:
+        return math.hypot(x - begin[0], y - begin[1]) <= _FURTHEST
+
     for x, y, yaw, half_length, half_width in np.asarray(boxes):
+        if not there(x, y):
+            continue
         corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * [half_length, half_width]
         rotation = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
         ax.add_patch(Polygon(corners @ rotation + [x, y], facecolor="0.55", edgecolor="0.35"))
     x, y, heading = np.asarray(human)[:3]
-    ax.add_patch(
-        Circle(
-            (x, y),
-            human_radius,
-            facecolor="white",
-            edgecolor="black",
-            linewidth=1.8 * marker_scale,
-            zorder=4,
+    if there(x, y):
+        ax.add_patch(
+            Circle(
+                (x, y),
+                human_radius,
+                facecolor="white",
+                edgecolor="black",
+                linewidth=1.8 * marker_scale,
+                zorder=4,
+            )
         )
-    )
-    nose = 1.9 * human_radius * np.array([np.cos(heading), np.sin(heading)])
-    ax.annotate(
-        "",
-        xy=(x + nose[0], y + nose[1]),
-        xytext=(x, y),
-        arrowprops={
-            "arrowstyle": "-|>",
-            "color": "black",
-            "mutation_scale": 10 * marker_scale,
-            "linewidth": marker_scale,
-            "shrinkA": 0,
-            "shrinkB": 0,
-        },
-        zorder=5,
-    )
+        nose = 1.9 * human_radius * np.array([np.cos(heading), np.sin(heading)])
+        ax.annotate(
+            "",
+            xy=(x + nose[0], y + nose[1]),
+            xytext=(x, y),
+            arrowprops={
+                "arrowstyle": "-|>",
+                "color": "black",
+                "mutation_scale": 10 * marker_scale,
+                "linewidth": marker_scale,
+                "shrinkA": 0,
+                "shrinkB": 0,
+            },
+            zorder=5,
+        )
     gx, gy = np.asarray(goal)[:2]
     ax.add_patch(Circle((gx, gy), goal_radius, facecolor="none", edgecolor="0.3", linestyle="--"))
     ax.plot(gx, gy, marker="*", markersize=12 * marker_scale, color="black", zorder=5)

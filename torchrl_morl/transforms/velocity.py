@@ -39,10 +39,12 @@ class VelocityInFrame(Transform):
 
     Keyword Args:
         period (float): length of a step, seconds.
+        max_speed (float): of what moves, m/s: what is faster are the positions of two people, of whom
+            now the one and now the other is the nearest; it reads 0.
         dtype (torch.dtype): of the velocity.
 
     Raises:
-        ValueError: if the period is not finite and positive.
+        ValueError: if the period is not finite and positive, or the speed not positive.
 
     Example:
         >>> import torch
@@ -62,14 +64,17 @@ class VelocityInFrame(Transform):
         out_key: NestedKey = "human_velocity",
         *,
         period: float,
+        max_speed: float = math.inf,
         dtype: torch.dtype = torch.float32,
     ) -> None:
+        if not max_speed > 0:
+            raise ValueError(f"max_speed must be > 0 m/s, got {max_speed}.")
         if not (math.isfinite(period) and period > 0):
             raise ValueError(f"period must be finite and > 0 seconds, got {period}.")
         super().__init__(
             in_keys=[unravel_key(in_key), unravel_key(frame_key)], out_keys=[unravel_key(out_key)]
         )
-        self.period = period
+        self.period, self.max_speed = period, max_speed
         self.dtype = dtype
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -100,6 +105,9 @@ class VelocityInFrame(Transform):
         heading = next_tensordict.get(frame)[..., 2]
         cos, sin = heading.cos(), heading.sin()
         velocity = torch.stack((cos * x + sin * y, cos * y - sin * x), dim=-1) / self.period
+        if self.max_speed < math.inf:
+            too_fast = velocity.norm(dim=-1, keepdim=True) > self.max_speed
+            velocity = velocity.masked_fill(too_fast, 0.0)
         return next_tensordict.set(self.out_keys[0], velocity.to(self.dtype))
 
     def _reset(

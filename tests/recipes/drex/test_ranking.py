@@ -214,6 +214,7 @@ def test_training_is_that_of_a_network_without_the_hidden_entries(driven):
 @pytest.mark.parametrize("inputs", [[], ["position"], ["lidar", "actions"]])
 def test_inputs_must_exist(inputs):
     with pytest.raises(
-        ValueError, match=r"must be some of .*'lidar', 'goal', 'human', 'human_velocity', 'action'"
+        ValueError,
+        match=r"must be some of .*'lidar', 'goal', 'human', 'human_velocity', 'nobody', 'robot', 'action'",
     ):
         ranking.make_reward_model(config(reward_model__inputs=inputs))

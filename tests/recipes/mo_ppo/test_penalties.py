@@ -85,6 +85,28 @@ def test_anchor_lets_go_beside_a_box():
         torch.testing.assert_close(cost(clearance), torch.tensor(math.log(3) * held / 2))
 
 
+def test_anchor_lets_go_of_people_who_walk():
+    batch = TensorDict(
+        observation=torch.tensor([[0.0, 0.0, 0.0], [9.0, 0.1, 0.1], [9.0, 0.3, -0.3]]),
+        preference=torch.tensor([[1.0, 0.0]]).expand(3, 2),
+        human=torch.tensor([[3.0, 1.0]]).expand(3, 2),
+        fails=torch.zeros(3, dtype=torch.bool),
+        start_action=torch.zeros(3, 2),
+        batch_size=[3],
+    )
+    action = torch.tensor([0.0, 0.2]).expand(3, 2)
+    for velocity, held in ((None, 3), (range(1, 3), 2)):
+        cost = penalties.anchor(
+            batch,
+            action,
+            sigma=torch.tensor([0.1, 0.1]),
+            objective=0,
+            radius=9.0,
+            velocity=velocity,
+        )
+        torch.testing.assert_close(cost, torch.tensor(math.log(3) * held / 3))
+
+
 def test_what_a_clone_would_do_is_asked_at_one_preference():
     """A clone knows the style at its corner alone, whatever an episode prefers."""
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=1 + 2, num_cells=())
@@ -150,3 +172,33 @@ def test_standing_by_hand():
     penalties.standing(action).backward()
     assert action.grad[0, 0] < 0
     assert not action.grad[3:].any()
+
+
+def test_mirror_by_hand():
+    """The speed is the goal's distance; the turn rate the sine of its bearing, and a tenth to the left."""
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=5 + 2, num_cells=())
+    with torch.no_grad():
+        actor[0].module[-1].weight.zero_()
+        actor[0].module[-1].bias.zero_()
+        actor[0].module[-1].weight[0, 2] = actor[0].module[-1].weight[1, 3] = 1.0
+    batch = TensorDict(
+        observation=torch.rand(3, 5),
+        preference=torch.tensor([[0.0, 1.0], [0.5, 0.5], [1.0, 0.0]]),
+        batch_size=[3],
+    )
+    parts = {"lidar": range(2), "goal": range(2, 5)}
+
+    def cost(demo: int | None) -> torch.Tensor:
+        action = actor(batch.clone())["action"]
+        return penalties.mirror(batch, action, actor, parts=parts, demo=demo)
+
+    torch.testing.assert_close(cost(None), torch.tensor(0.0))
+    with torch.no_grad():
+        actor[0].module[-1].bias[1] = 0.1
+        batch["observation"][:, 3] = 0.0
+    # tanh(0.1) to the left in the world and in its image: twice as much to the other side is missing.
+    asymmetry = (2 * torch.tensor(0.1).tanh()) ** 2
+    torch.testing.assert_close(cost(None), asymmetry)
+    # The first entry demonstrates: of 1, 1/8 and 0.
+    torch.testing.assert_close(cost(0), asymmetry * 1.125 / 3)
+    assert "action" not in batch.keys()

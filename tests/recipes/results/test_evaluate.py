@@ -18,7 +18,7 @@ from envs import Faults
 from envs.demonstrations import CircleDemonstrator
 from recipes.evaluation.sweep import sweep
 from recipes.results import evaluate as module
-from recipes.results.conditions import CHANGES, SCENE_KINDS, condition
+from recipes.results.conditions import CHANGES, SCENE_KINDS, condition, conditions
 from recipes.results.episodes import OUTCOMES
 from recipes.results.evaluate import evaluate
 from recipes.results.files import read_evaluation, read_evaluations, write_evaluation
@@ -162,7 +162,9 @@ def test_files_that_are_incomplete_are_refused(tmp_path):
 # --- conditions
 
 
-@pytest.mark.parametrize("name", [*SCENE_KINDS, *CHANGES, "moving_human+faults", "corridor+all"])
+@pytest.mark.parametrize(
+    "name", [*SCENE_KINDS, *CHANGES, "moving_human+faults", "corridor+hsr_wheels_faults"]
+)
 def test_conditions_by_name(name):
     arguments = condition(name)
     assert set(arguments) == {"scene", "robot", "drive", "faults"}
@@ -172,7 +174,7 @@ def test_conditions_by_name(name):
 
 
 def test_all_faults_are_all():
-    assert condition("all") == {
+    assert condition("hsr_wheels_faults") == {
         "scene": "static",
         "robot": "hsr",
         "drive": "wheels",
@@ -187,10 +189,24 @@ def test_unknown_conditions(name):
         condition(name)
 
 
+def test_all_is_every_condition_once():
+    every = conditions(["hsr", "all", "static+latency_2"])
+    assert every[0] == "hsr" and every[-1] == "static+latency_2"
+    assert sorted(every) == sorted([*SCENE_KINDS, *CHANGES, "static+latency_2"])
+    with pytest.raises(ValueError, match="Unknown condition 'rain': all, one of static"):
+        conditions(["all", "rain"])
+
+
+def test_nobody_is_at_no_distance(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "sweep", SHORT)
+    folder = evaluate(CIRCLE, "nobody", tmp_path, episodes=2, seed=3, progress=False)
+    assert np.isnan(read_evaluation(folder).values("min_human_distance")).all()
+
+
 def test_other_robots_and_faults(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "sweep", SHORT)
     evaluation = read_evaluation(
-        evaluate(CIRCLE, "all", tmp_path, episodes=2, seed=3, progress=False)
+        evaluate(CIRCLE, "hsr_wheels_faults", tmp_path, episodes=2, seed=3, progress=False)
     )
     assert np.isfinite(evaluation.values("frechet")).all()
     assert (evaluation.values("frechet") > 1e-3).all()  # the demonstration knows no faults

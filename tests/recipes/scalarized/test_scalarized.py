@@ -284,6 +284,8 @@ def test_what_is_not_specific_to_pd_morl_is_as_in_pd_morl(name):
     own = {"evaluation.refit_momentum", "network.straight_drive"}
     own |= {"preference.slabs", "preference.relabel_copies"}  # of the paper's configuration
     own |= {"compute.compile", "compute.compile_mode", "compute.bfloat16"}
+    workers = ("backend", "num_workers", "worker_cpus", "ray_address")
+    own |= {f"collector.{name}" for name in workers}  # the baselines have one process
     assert alone <= own | (without_noise | delayed if name == "sac" else set())
 
 

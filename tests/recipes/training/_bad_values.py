@@ -159,6 +159,7 @@ BAD = {
         ("loss.anchor_window", 0, "odd number of steps"),
         ("loss.smoothness_coeff", -1, "not be negative"),
         ("loss.standing_coeff", -1, "not be negative"),
+        ("loss.mirror_coeff", -1, "not be negative"),
         ("optim.critic_batches", -1, "at least 0"),
         ("optim.critic_epochs", 0, "at least 1"),
         ("optim.epochs", 0, "at least 1"),
@@ -211,7 +212,7 @@ BAD = {
         (
             "reward_model.inputs",
             ["position"],
-            "'lidar', 'goal', 'human', 'human_velocity', 'action'",
+            "'lidar', 'goal', 'human', 'human_velocity', 'nobody', 'robot', 'action'",
         ),
         ("reward_model.inputs", ["human_velocity"], "some of"),
         ("reward_model.inputs", ["goal", "goal"], "repeat"),

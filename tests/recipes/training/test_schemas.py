@@ -75,8 +75,14 @@ def test_every_field_says_what_it_is_and_what_it_allows(recipe):
         assert leaf.allowed, leaf.name
 
 
-@pytest.mark.parametrize("preset", ["none", "quick"])
-@pytest.mark.parametrize("recipe", RECIPES)
+PRESETS = [
+    (recipe, file.stem)
+    for recipe, (_, _, folder) in RECIPES.items()
+    for file in sorted((ROOT / folder / "preset").glob("*.yaml"))
+]
+
+
+@pytest.mark.parametrize(("recipe", "preset"), PRESETS)
 def test_the_defaults_and_presets_are_allowed(recipe, preset):
     validate(RECIPES[recipe][0], configuration(recipe, f"preset={preset}"))
 

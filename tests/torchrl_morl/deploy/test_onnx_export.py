@@ -176,7 +176,8 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch):
 def test_the_command_writes_the_file_and_the_runner(tmp_path, capsys, monkeypatch):
     given: list[tuple] = []
 
-    def export(policy, file, *, lidar):
+    def export(policy, file, *, lidar, robot):
+        assert robot is None
         given.append((policy.robot, lidar))
         file.write_bytes(b"onnx")
 

@@ -1,0 +1,155 @@
+"""Scenes with any number of people from YAML files and mappings."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from torchrl_morl.arguments import is_number
+
+from .encounters import solvable_among_people
+from .fields import Fields, is_list, number_hint
+from .people import nobody, person
+from .scene_checks import problems_of_people
+from .scene_numbers import FASTEST, METRES, RADIANS, Range, read_boxes, read_numbers
+from .scenes import Scene
+
+_PERSON_FIELDS = ("at", "goal", "speed", "sets_out")
+_LATEST = 60.0  # an episode, seconds
+
+_CANDIDATES = 16
+_MAX_ROUNDS = 200
+_SHORTEST_WAY = 0.5
+
+
+def scene_with_people(fields: Fields) -> Scene:
+    """A scene whose file has ``people`` in place of one human: see :func:`envs.get_scene`.
+
+    Raises:
+        ValueError: for a field that is missing or refused.
+    """
+    for name in ("human", "human_goal", "human_speed"):
+        if name in fields.values:
+            raise ValueError(f"{fields.where}: {name} and people exclude each other.")
+    start = read_numbers(fields, "start", ("x", "y", "heading"), (METRES, METRES, RADIANS))
+    goal = read_numbers(fields, "goal", ("x", "y"), (METRES, METRES))
+    given = fields.values["people"]
+    if not is_list(given):
+        raise fields.refusal("people", "a list of {at, goal, speed, sets_out}", given)
+    people = [_person(fields, index, one) for index, one in enumerate(given)]
+    boxes = read_boxes(fields)
+    fastest = max((numbers[4][1] for numbers in people), default=0.0)
+    sampler = PeopleSampler(fields.where, [*start, *goal], people, boxes)
+    return Scene(fields.name, len(boxes), sampler, fastest, max(len(people), 1))
+
+
+def _person(fields: Fields, index: int, given: object) -> list[Range]:
+    at = f"people[{index}]"
+    if not isinstance(given, Mapping):
+        raise fields.refusal(at, "fields {at, goal, speed, sets_out}", given)
+    fields.refuse_unknown(given, _PERSON_FIELDS, f" of {at}")
+    place = read_numbers(fields, "at", ("x", "y"), (METRES, METRES), given, at)
+    speed = _amount(fields, f"{at}.speed", given.get("speed", 0.0), FASTEST, "m/s")
+    sets_out = _amount(fields, f"{at}.sets_out", given.get("sets_out", 0.0), _LATEST, "seconds")
+    if ("goal" in given) != (speed[1] > 0):
+        raise ValueError(f"{fields.where}: {at} needs both goal and speed to walk, or neither.")
+    goal = place
+    if "goal" in given:
+        goal = read_numbers(fields, "goal", ("x", "y"), (METRES, METRES), given, at)
+    return [*place, *goal, speed, sets_out]
+
+
+def _amount(fields: Fields, title: str, value: object, most: float, unit: str) -> Range:
+    ends = tuple(value) if is_list(value) else (value, value)
+    if (
+        len(ends) != 2
+        or not all(is_number(end) for end in ends)
+        or not 0 <= ends[0] <= ends[1] <= most
+    ):
+        allowed = f"a number of {unit} from 0 to {most:g}, or a range [low, high] of two"
+        raise fields.refusal(title, allowed, value, number_hint(value))
+    return float(ends[0]), float(ends[1])
+
+
+class PeopleSampler:
+    """Draws scenes from ranges until they are free and can be solved; the ``sample`` of a scene.
+
+    Args:
+        where: what errors call it, a file.
+        ends: ranges of start and goal, five.
+        people: ranges of x, y, x and y of the goal, speed and when they set out, of each.
+        boxes: ranges of the five numbers of each.
+    """
+
+    def __init__(
+        self, where: str, ends: list[Range], people: list[list[Range]], boxes: list[list[Range]]
+    ) -> None:
+        self.where, self.num_people, self.num_boxes = where, len(people), len(boxes)
+        ranges = [*ends, *(one for each in (*people, *boxes) for one in each)]
+        self._low, self._high = torch.tensor(ranges, dtype=torch.float64).T.contiguous()
+        self._stand = [each[:2] == each[2:4] and each[4] == (0.0, 0.0) for each in people]
+
+    def __call__(self, n: int, robot_radius: float, generator: torch.Generator) -> TensorDict:
+        """Scenes ``[n]``, see :class:`Scene`.
+
+        Raises:
+            ValueError: if none is found.
+        """
+        kept: list[TensorDict] = []
+        missing, reasons = n, Counter[str]()
+        for _ in range(_MAX_ROUNDS):
+            shape = (missing * _CANDIDATES, len(self._low))
+            share = torch.rand(shape, generator=generator, dtype=torch.float64)
+            drawn = self._scenes(self._low + (self._high - self._low) * share)
+            valid = torch.ones(len(drawn), dtype=torch.bool)
+            for problem in problems_of_people(drawn, robot_radius, _SHORTEST_WAY):
+                bad = problem.scenes()
+                if bad.any():
+                    row = int(bad.to(torch.uint8).argmax())
+                    reasons[problem.sentence_with_value(row, drawn)] += int((bad & valid).sum())
+                    valid &= ~bad
+            drawn = drawn[valid][:missing]
+            solved = solvable_among_people(drawn, robot_radius)
+            reasons["goal has no way to it that is safe from people who walk"] += int(
+                (~solved).sum()
+            )
+            kept.append(drawn[solved])
+            missing -= int(solved.sum())
+            if not missing:
+                return torch.cat(kept)
+            if not kept or (not sum(map(len, kept)) and len(kept) >= 8):
+                break
+        raise ValueError(
+            f"{self.where}: no scene found for a robot of radius {robot_radius:g} m, after many "
+            f"draws: {reasons.most_common(1)[0][0]}. Widen the ranges."
+        )
+
+    def check(self, robot_radius: float) -> None:
+        """Draw one scene.
+
+        Raises:
+            ValueError: as in a call.
+        """
+        self(1, robot_radius, torch.Generator().manual_seed(0))
+
+    def _scenes(self, numbers: Tensor) -> TensorDict:
+        start, goal, people, boxes = numbers.split(
+            (3, 2, 6 * self.num_people, 5 * self.num_boxes), -1
+        )
+        rows = [
+            person((x, y), (x, y) if stands else (goal_x, goal_y), speed, sets_out)
+            for (x, y, goal_x, goal_y, speed, sets_out), stands in zip(
+                (each.unbind(-1) for each in people.split(6, -1)), self._stand
+            )
+        ]
+        fields = {
+            "start": start,
+            "goal": goal,
+            "people": torch.stack(rows or [nobody(goal[:, 0], None)], dim=1),
+            "boxes": boxes.unflatten(-1, (self.num_boxes, 5)),
+        }
+        return TensorDict({name: one.clone() for name, one in fields.items()}, [len(numbers)])

@@ -1,0 +1,92 @@
+"""The cluster of Ray that workers run in: one that is there, or one of our own."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from types import ModuleType
+from unittest import mock
+
+PATIENCE = 300.0
+"""Seconds in which other programs must have left a cluster the CPUs that the workers reserve."""
+
+
+def join_cluster(address: str | None, workers: int, cpus: int) -> bool:
+    """Join a cluster, or start one on this machine.
+
+    Args:
+        address: ``"auto"`` or host and port; ``None`` starts one, with CPUs enough for the workers.
+        workers: that are to run there.
+        cpus: that each of them reserves.
+
+    Returns:
+        Whether the process was in none before, and is to leave it.
+
+    Raises:
+        ConnectionError: if there is none at the address, or its CPUs are taken, after :data:`PATIENCE`.
+        ValueError: for one with fewer CPUs, where workers would wait forever.
+    """
+    import ray
+
+    joins = not ray.is_initialized()
+    if joins:
+        arguments, environment = {"address": address}, {}
+        if address is None:
+            arguments = {
+                "address": "local",
+                # Threads of the workers may be more than there are CPUs, as in one process.
+                "num_cpus": max(workers * cpus, os.cpu_count() or 1),
+                "include_dashboard": False,
+                "_node_ip_address": "127.0.0.1",
+            }
+            # Ray's workers are nice to everybody else: these are half of the training. And a cluster of
+            # our own reports nothing to anybody.
+            environment = {"RAY_worker_niceness": "0", "RAY_USAGE_STATS_ENABLED": "0"}
+        with _own_signals(), mock.patch.dict(os.environ, environment):
+            try:
+                ray.init(log_to_driver=False, logging_level="error", **arguments)
+            except Exception as error:
+                # A bare one where its processes have not begun after 30 seconds.
+                reason = " ".join(str(error).split())
+                where = "on this machine" if address is None else f"at {address}"
+                raise ConnectionError(f"no cluster of Ray {where}: {reason}") from error
+    try:
+        _wait_for_cpus(ray, workers, cpus)
+    except (ConnectionError, ValueError):
+        if joins:
+            ray.shutdown()
+        raise
+    return joins
+
+
+def _wait_for_cpus(ray: ModuleType, workers: int, cpus: int) -> None:
+    """Refuse a cluster that is too small, and wait for one that is busy: Ray says nothing of either."""
+    machines = [int(one["Resources"].get("CPU", 0)) for one in ray.nodes() if one["Alive"]]
+    if sum(machine // cpus for machine in machines) < workers:
+        raise ValueError(
+            f"collector.num_workers={workers} of collector.worker_cpus={cpus} do not fit into the cluster, "
+            f"whose machines have {', '.join(map(str, machines))} CPUs."
+        )
+    end = time.monotonic() + PATIENCE
+    while (free := int(ray.available_resources().get("CPU", 0))) < workers * cpus:
+        if time.monotonic() > end:
+            raise ConnectionError(
+                f"the cluster is busy: {free} of its {sum(machines)} CPUs are free after "
+                f"{PATIENCE:.0f} seconds, {workers} workers need {workers * cpus}."
+            )
+        time.sleep(0.5)
+
+
+class _own_signals:
+    """Ray takes SIGTERM: what was there before comes back."""
+
+    def __enter__(self) -> None:
+        self.before = {}
+        if threading.current_thread() is threading.main_thread():
+            self.before = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
+
+    def __exit__(self, *_: object) -> None:
+        for one, handler in self.before.items():
+            signal.signal(one, handler)

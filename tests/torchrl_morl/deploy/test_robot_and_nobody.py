@@ -1,0 +1,178 @@
+"""A mark for nobody and which robot it is: the same numbers in training, policy, runner and ONNX file."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from torchrl_morl.deploy import LidarGeometry, PolicyRunner, Sensing, export_onnx
+from torchrl_morl.deploy.export import main
+from torchrl_morl.deploy.features import policy_transforms
+from torchrl_morl.deploy.graph import PolicyGraph
+from torchrl_morl.deploy.onnx_runner import OnnxRunner
+from torchrl_morl.deploy.policy_files import save_policy
+from torchrl_morl.testing import untrained_policy
+
+ROBOT = (0.25, 0.7, 2.0, 4.7, 8.0, 0.1)
+SENSING = Sensing(observe_human_velocity=True, observe_nobody=True, observe_robot=True)
+LIDAR = LidarGeometry(0.0, math.pi / 90, 180, 0.05, 8.0, (ROBOT[-1], 0.0, 0.0))
+PREFERENCE = (0.2, 0.3, 0.5)
+
+
+@pytest.fixture(scope="module")
+def policy():
+    torch.manual_seed(1)
+    return untrained_policy(sensing=SENSING)
+
+
+def sensed(seed: int) -> dict[str, np.ndarray]:
+    draw = np.random.default_rng(seed)
+    return {
+        "lidar": draw.uniform(0.3, 4.0, 30),
+        "goal": draw.uniform((0.5, -3.0), (10.0, 3.0)),
+        "human": draw.uniform((0.5, -3.0), (7.0, 3.0)),
+        "human_velocity": draw.uniform(-1, 1, 2),
+    }
+
+
+def test_features_are_those_of_the_training(policy):
+    given = sensed(0)
+    transforms = policy_transforms(
+        observe_human_velocity=True, observe_nobody=True, observe_robot=True
+    )
+    features = transforms[3:]  # behind the scaling of actions, the check and the sectors
+    for human, marked in ((given["human"], 0.0), (SENSING.nobody, 1.0)):
+        data = TensorDict(
+            lidar=torch.tensor(given["lidar"]).float(),
+            goal=torch.tensor(given["goal"]).float(),
+            human=torch.tensor(human).float(),
+            human_velocity=torch.zeros(2),
+            pose=torch.zeros(3),
+            human_pose=torch.zeros(3),
+            robot=torch.tensor(ROBOT),
+        )
+        for transform in features:
+            if type(transform).__name__ != "VelocityInFrame":
+                data = transform._call(data)
+        assert data["observation"][38].item() == marked
+        row = policy._checked(
+            {
+                "lidar": given["lidar"],
+                "goal": given["goal"],
+                "human": human,
+                "human_velocity": (0.0, 0.0),
+                "nobody": (0.0,),
+                "robot": ROBOT,
+                "preference": PREFERENCE,
+            },
+            tensors=False,
+        )
+        policy._features.mark_nobody(row)
+        observation = policy._features(row)[: SENSING.observation_size]
+        torch.testing.assert_close(observation, data["observation"], atol=1e-6, rtol=1e-5)
+
+
+def test_nobody_is_what_is_reported_of_nobody(policy):
+    given = sensed(1) | {"human_velocity": (0.0, 0.0)}
+    del given["human"]
+    left_out = policy.act(preference=PREFERENCE, robot=ROBOT, **given)
+    reported = policy.act(preference=PREFERENCE, robot=ROBOT, human=SENSING.nobody, **given)
+    near = policy.act(preference=PREFERENCE, robot=ROBOT, human=(3.99, math.pi), **given)
+    np.testing.assert_array_equal(left_out, reported)
+    assert abs(near - reported).max() > 1e-4
+
+
+def test_commands_are_within_the_limits_of_the_robot(policy):
+    robots = np.array([ROBOT, (0.15, 0.3, 1.0, 6.28, 4.0, 0.0)])
+    command = policy.act(preference=PREFERENCE, robot=robots, **sensed(2))
+    assert command.shape == (2, 2)
+    assert (command[:, 0] >= 0).all() and (command[:, 0] <= robots[:, 1]).all()
+    assert (abs(command[:, 1]) <= robots[:, 2]).all()
+
+
+@pytest.mark.parametrize("somebody", [True, False])
+def test_the_onnx_file_drives_as_the_runner(policy, tmp_path, somebody):
+    pytest.importorskip("onnxscript")
+    file = export_onnx(policy, tmp_path / "any.onnx", lidar=LIDAR, robot=ROBOT)
+    theirs, ours = OnnxRunner(file), PolicyRunner(policy, lidar=LIDAR, robot=ROBOT)
+    assert theirs.metadata["robot_numbers"] == pytest.approx(ROBOT)
+    assert theirs.max_speed == ours.max_speed == ROBOT[1]
+    assert theirs.max_turn_rate == ours.max_turn_rate == ROBOT[2]
+    for step in range(20):
+        given = sensed(10 + step)
+        ranges = np.random.default_rng(step).uniform(0.3, 6.0, 180)
+        arguments = {
+            "goal": tuple(given["goal"]),
+            "human": tuple(given["human"]) if somebody else None,
+            "human_velocity": tuple(given["human_velocity"]) if somebody else None,
+            "preference": PREFERENCE,
+            "stamp": 0.2 * step,
+            "time": 0.2 * step + 0.01,
+        }
+        one, other = ours.step(ranges, **arguments), theirs.step(ranges, **arguments)
+        assert one.reason == other.reason == "drive", one.detail
+        assert other.speed == pytest.approx(one.speed, abs=1e-5)
+        assert other.turn_rate == pytest.approx(one.turn_rate, abs=1e-4)
+
+
+def test_the_command_line_is_told_the_robot(policy, tmp_path, capsys):
+    pytest.importorskip("onnxscript")
+    save_policy(
+        tmp_path / "policy",
+        policy.actor,
+        preference_space=policy.preference_space,
+        sensing=SENSING,
+        limits=policy.limits,
+        period=policy.period,
+        robot="any",
+        card={},
+    )
+    arguments = [str(tmp_path / "policy"), "--onnx", str(tmp_path / "any.onnx")]
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert "give robot=, radius, top speed" in capsys.readouterr().err
+    main([*arguments, "--robot", *map(str, ROBOT)])
+    mount = OnnxRunner(tmp_path / "any.onnx").metadata["lidar"]["mount"]
+    assert mount == pytest.approx([ROBOT[-1], 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("sensing", "robot", "message"),
+    [
+        (SENSING, None, "this policy reads which robot it drives"),
+        (SENSING, ROBOT[:5], "robot must be six numbers, got"),
+        (SENSING, (0.0, *ROBOT[1:]), "above 0, got"),
+        (SENSING, (math.nan, *ROBOT[1:]), "robot must be finite, got"),
+        (Sensing(), ROBOT, "this policy does not read robot="),
+    ],
+)
+def test_robots_that_are_refused(sensing, robot, message):
+    policy = untrained_policy(sensing=sensing)
+    for make in (PolicyRunner, PolicyGraph):
+        with pytest.raises(ValueError, match=message) as caught:
+            make(policy, lidar=LIDAR, robot=robot)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_page_refuses_what_it_has_no_input_for(policy, tmp_path):
+    from recipes.page.contents import contents
+
+    folder = tmp_path / "any"
+    save_policy(
+        folder,
+        policy.actor,
+        preference_space=policy.preference_space,
+        sensing=SENSING,
+        limits=policy.limits,
+        period=policy.period,
+        robot="turtlebot2",
+        card={},
+    )
+    with pytest.raises(ValueError, match=r"sensing\.observe_robot must be false: a page"):
+        contents([folder], ["static"], num_scenes=1)
+    assert json.loads((folder / "policy.json").read_text())["sensing"]["observe_robot"] is True

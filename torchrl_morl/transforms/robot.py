@@ -1,0 +1,163 @@
+"""Which robot it is: ranges from its hull, speeds in units of its own, and its numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import dispatch
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs.transforms import Transform
+
+from torchrl_morl.representation import describe
+from torchrl_morl.transforms.stored import apart_from_storage
+
+__all__ = ["ROBOT_SCALES", "HullRange", "InUnitsOf", "IsNobody", "RobotScale", "hull_ranges"]
+
+ROBOT_SCALES = (0.25, 1.0, math.pi, 2 * math.pi, 10.0, 0.25)
+"""What becomes 1 of radius (m), top speed (m/s), top turn rate (rad/s), the lidar's view (rad), its range
+(m), and its distance ahead of the rotation centre (m)."""
+
+
+def hull_ranges(lidar: Tensor, robot: Tensor) -> Tensor:
+    """Free distance from the hull of a round robot, along the middle of each sector.
+
+    Args:
+        lidar: shortest range of each sector from the lidar, ``[*B, S]``, metres.
+        robot: ``[*B, 6]``, see :data:`ROBOT_SCALES`.
+
+    Returns:
+        ``[*B, S]``, metres, at least a millimetre.
+
+    Example:
+        >>> import torch
+        >>> robot = torch.tensor([0.2, 0.5, 3.0, 6.28, 4.0, 0.1])
+        >>> hull_ranges(torch.full((2,), 1.0), robot)  # to the left and to the right
+        tensor([0.8050, 0.8050])
+    """
+    sectors = lidar.shape[-1]
+    angle = (torch.arange(sectors, device=lidar.device, dtype=lidar.dtype) + 0.5) * (
+        2 * math.pi / sectors
+    )
+    radius, offset = robot[..., 0:1], robot[..., 5:6]
+    ahead, left = offset + lidar * angle.cos(), lidar * angle.sin()
+    return ((ahead.square() + left.square()).sqrt() - radius).clamp_min(1e-3)
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotScale:
+    """Maps numbers of robots to numbers of order one."""
+
+    def __call__(self, robot: Tensor) -> Tensor:
+        """``[*B, 6]``, see :data:`ROBOT_SCALES`."""
+        return robot / robot.new_tensor(ROBOT_SCALES)
+
+
+@dataclasses.dataclass(frozen=True)
+class IsNobody:
+    """Tells from the reported human whether nobody is there.
+
+    Args:
+        distance: that is reported of nobody, metres.
+        bearing: that is reported of nobody, radians.
+    """
+
+    distance: float = 4.0
+    bearing: float = math.pi
+
+    def __call__(self, human: Tensor) -> Tensor:
+        """``[*B, 2]`` to ``[*B, 1]``: 1 for nobody, else 0."""
+        nobody = human.new_tensor((self.distance, self.bearing))
+        return (human == nobody).all(-1, keepdim=True).to(human.dtype)
+
+
+class _WithRobot(Transform):
+    """Adds what follows from one entry and the robot."""
+
+    def __init__(self, in_key: str, out_key: str, robot_key: str) -> None:
+        super().__init__(in_keys=[in_key, robot_key], out_keys=[out_key])
+
+    def compute(self, value: Tensor, robot: Tensor) -> Tensor:
+        """The new entry, of the shape of the other."""
+        raise NotImplementedError
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        value, robot = (next_tensordict.get(key) for key in self.in_keys)
+        return next_tensordict.set(self.out_keys[0], self.compute(value, robot))
+
+    @dispatch(source="in_keys", dest="out_keys", auto_batch_size=False)
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Add the entry to a tensordict."""
+        return self._call(apart_from_storage(tensordict))
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._call(tensordict_reset)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._call(next_tensordict)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec = observation_spec.clone()
+        spec = observation_spec[self.in_keys[0]]
+        observation_spec[self.out_keys[0]] = Unbounded(
+            spec.shape, device=spec.device, dtype=spec.dtype
+        )
+        return observation_spec
+
+    def __repr__(self) -> str:
+        return describe(self, in_key=self.in_keys[0], out_key=self.out_keys[0])
+
+
+class HullRange(_WithRobot):
+    """Add the free distance from the robot's hull in each sector: see :func:`hull_ranges`.
+
+    Args:
+        in_key (str): ranges ``[*B, S]``, metres.
+        out_key (str): where distances are written.
+        robot_key (str): robots ``[*B, 6]``.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> robot = torch.tensor([0.2, 0.5, 3.0, 6.28, 4.0, 0.0])
+        >>> HullRange()(TensorDict(lidar=torch.ones(3), robot=robot))["hull_lidar"]
+        tensor([0.8000, 0.8000, 0.8000])
+    """
+
+    def __init__(
+        self, in_key: str = "lidar", out_key: str = "hull_lidar", robot_key: str = "robot"
+    ) -> None:
+        super().__init__(in_key, out_key, robot_key)
+
+    def compute(self, value: Tensor, robot: Tensor) -> Tensor:
+        """See :func:`hull_ranges`."""
+        return hull_ranges(value, robot)
+
+
+class InUnitsOf(_WithRobot):
+    """Turn a velocity in m/s into one in units of the robot's top speed.
+
+    Args:
+        key (str): velocities ``[*B, 2]``; they are replaced.
+        robot_key (str): robots ``[*B, 6]``.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> robot = torch.tensor([0.2, 0.5, 3.0, 6.28, 4.0, 0.0])
+        >>> data = TensorDict(velocity=torch.tensor([1.0, 0.0]), robot=robot)
+        >>> InUnitsOf("velocity")(data)["velocity"]
+        tensor([2., 0.])
+    """
+
+    def __init__(self, key: str, robot_key: str = "robot") -> None:
+        super().__init__(key, key, robot_key)
+
+    def compute(self, value: Tensor, robot: Tensor) -> Tensor:
+        """Over the second number of the robot."""
+        return value / robot[..., 1:2]
