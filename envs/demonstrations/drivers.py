@@ -26,7 +26,7 @@ class Driver(TensorDictModuleBase):
 
     Args:
         speed: forward speed, m/s; robots that are slower drive their own.
-        robot: whose limits it respects; of ranges each robot's own, from ``robot`` [*B, 6], see
+        robot: whose limits it respects; of ranges each robot's own, from ``robot`` ``[*B, 6]``, see
             :class:`~envs.NavigationEnv`. What is not scaled is then in shares of them.
         in_keys: what it reads.
         action_key: where the action ``[*B, 2]`` is written.
