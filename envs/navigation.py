@@ -85,7 +85,7 @@ class NavigationEnv(BatchedMujocoEnv):
         num_rays: lidar rays per revolution.
         max_range: range of the lidar, metres.
         repeat_failed: see :class:`envs.scene_stream.SceneStream`; for training.
-        report_robot: observe ``robot`` [N, 6], of :data:`envs.robot_ranges.DRIVEN`; robots that differ are.
+        report_robot: observe ``robot`` ``[N, 6]``, of :data:`envs.robot_ranges.DRIVEN`; robots that differ are.
         faults: of sensors and actuation, also as a mapping.
         objectives: names from :data:`envs.OBJECTIVES`, one for each entry of the reward.
         rewards: constants of the objectives, also as a mapping.

@@ -51,7 +51,7 @@ class SceneStream:
             once there is one.
         goal_radius: distance from the goal at which it is reached, metres.
         robots: of which every episode draws one; then scenes have ``robot`` [n, 8], too, in the order of
-            :data:`envs.robot_ranges.DRIVEN`. They are drawn for robots up to a quarter of the range larger.
+            ``envs.robot_ranges.DRIVEN``. They are drawn for robots up to a quarter of the range larger.
 
     Raises:
         ValueError: for a share that is not between 0 and 1, or a described scene that cannot be.
