@@ -65,7 +65,7 @@ def solvable_among_people(scenes: TensorDictBase, robot_radius: float) -> Tensor
 
         >>> import torch
         >>> from tensordict import TensorDict
-        >>> people = torch.tensor([[[9.0, 0, 0, -3, 0, v, 0]] for v in (1.2, 3.0)]).double()
+        >>> people = torch.tensor([[[9.0, 0, 0, -3, 0, v, 0]] for v in (1.0, 3.0)]).double()
         >>> start, goal = torch.zeros(2, 3).double(), torch.tensor([[8.0, 0.0]] * 2).double()
         >>> boxes = torch.zeros(2, 0, 5).double()
         >>> scenes = TensorDict(start=start, goal=goal, people=people, boxes=boxes, batch_size=[2])
