@@ -77,7 +77,14 @@ MET: dict[str, Scene] = {
 _ONE_OF_A_RANGE = ("towards_0.5", "towards_1.0", "crossing_0.5", "crossing_1.0", "eight_boxes")
 
 # Who walks, and what can trap a robot, is what policies fail at: they meet it more often.
-_OFTEN = {"crossing": 3.0, "towards": 3.0, "two_people": 2.0, "pocket": 2.0, "wall": 2.0}
+_OFTEN = {
+    "crossing": 3.0,
+    "towards": 3.0,
+    "two_people": 2.0,
+    "pocket": 2.0,
+    "wall": 2.0,
+    "doorway": 2.0,
+}
 
 EVERYDAY = mixture(
     "everyday",
@@ -85,7 +92,7 @@ EVERYDAY = mixture(
     + [(EXPLORING, 4.0)],
 )
 """Training for all of them: one of :data:`MET` in each episode; ``exploring``, people who cross or come
-towards the robot, pockets and walls more often than the others."""
+towards the robot, pockets, walls and doorways more often than the others."""
 
 SCENES: dict[str, Scene] = {
     scene.name: scene

@@ -10,14 +10,12 @@ import torch
 from torch import Tensor, nn
 
 from torchrl_morl.deploy.features import GOAL_SCALE, observation_parts
-from torchrl_morl.transforms.robot import ROBOT_SCALES
+from torchrl_morl.transforms.robot import ROBOT_SCALES, TOP_SPEED
 
 from .navigation import NavigationEnv
 from .objectives import RewardConstants, get_rewards
-from .robot_ranges import DRIVEN, RobotRanges, get_robots, largest
+from .robot_ranges import RobotRanges, get_robots, largest
 from .robots import Robot
-
-_SPEED = DRIVEN.index("max_speed")
 
 
 class StraightDriveValue(nn.Module):
@@ -89,7 +87,7 @@ class StraightDriveValue(nn.Module):
         self.gamma, self.step, self.goal_radius = gamma, step, goal_radius
         parts = observation_parts(**(observed or {}))
         self.goal_distance = parts["goal"][0]
-        self.speed = parts["robot"][_SPEED] if "robot" in parts else None
+        self.speed = parts["robot"][TOP_SPEED] if "robot" in parts else None
         self.of_progress = tuple(name == "core" for name in objectives)
 
     def forward(self, observation: Tensor) -> Tensor:
@@ -97,7 +95,7 @@ class StraightDriveValue(nn.Module):
         distance = GOAL_SCALE * observation[..., self.goal_distance]
         step = self.step
         if self.speed is not None:
-            speed = ROBOT_SCALES[_SPEED] * observation[..., self.speed]
+            speed = ROBOT_SCALES[TOP_SPEED] * observation[..., self.speed]
             step = (speed * NavigationEnv.CONTROL_PERIOD).clamp_min(1e-3)
         steps = ((distance - self.goal_radius) / step).clamp_min(0.0)
         if self.gamma < 1:

@@ -18,12 +18,13 @@ from torchrl_morl.deploy.features import NUM_SECTORS, observation_parts
 from torchrl_morl.deploy.mirror import mirror_action, mirror_observation
 from torchrl_morl.geometry import wrap_angle
 from torchrl_morl.transforms import LogRange
+from torchrl_morl.transforms.robot import ROBOT_SCALES, TOP_SPEED
 
 _MARGIN = 0.1
 """Radians."""
 
 _STANDING = 0.2
-"""Speed below which a human stands, as observed; people are demonstrated standing."""
+"""Speed below which a human stands, m/s; people are demonstrated standing."""
 
 
 def compute(
@@ -68,7 +69,7 @@ def compute(
             objective=demo,
             radius=cfg.loss.anchor_radius,
             clearance=cfg.loss.anchor_clearance,
-            velocity=parts.get("human_velocity"),
+            human_speed=human_speed(batch["observation"], parts),
         )
     return found
 
@@ -122,7 +123,7 @@ def anchor(
     objective: int,
     radius: float,
     clearance: float = 0.0,
-    velocity: Sequence[int] | None = None,
+    human_speed: Tensor | None = None,
 ) -> Tensor:
     """How far a policy has gone from the one it started as, where an objective matters.
 
@@ -147,17 +148,32 @@ def anchor(
         objective: the place of the weight in the preference.
         radius: around the human, metres.
         clearance: from the nearest box, metres; 0 holds beside boxes, too.
-        velocity: where the observation has the human's; ``None`` holds whether they stand or walk.
+        human_speed: m/s, ``[*B]``; ``None`` holds whether they stand or walk.
     """
     divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
     held = (batch["human"][..., 0] < radius) & ~batch["fails"]
     if clearance:
         held = held & (nearest_box(batch["observation"], batch["human"]) >= clearance)
-    if velocity is not None:
-        speed = batch["observation"][..., velocity[0] : velocity[-1] + 1].norm(dim=-1)
-        held = held & (speed < _STANDING)
+    if human_speed is not None:
+        held = held & (human_speed < _STANDING)
     weight = batch["preference"][..., objective] ** 3 * held
     return (weight * divergence.log1p()).mean()
+
+
+def human_speed(observation: Tensor, parts: Mapping[str, Sequence[int]]) -> Tensor | None:
+    """How fast the human walks, m/s, ``[*B]``; ``None`` where that is not observed.
+
+    Args:
+        observation: ``[*B, D]``, see :func:`~torchrl_morl.deploy.features.policy_transforms`.
+        parts: of it, see :func:`~torchrl_morl.deploy.features.observation_parts`.
+    """
+    if "human_velocity" not in parts:
+        return None
+    ahead, left = parts["human_velocity"]
+    speed = torch.hypot(observation[..., ahead], observation[..., left])
+    if "robot" in parts:  # velocities are in units of its top speed
+        speed = speed * ROBOT_SCALES[TOP_SPEED] * observation[..., parts["robot"][TOP_SPEED]]
+    return speed
 
 
 def nearest_box(observation: Tensor, human: Tensor) -> Tensor:

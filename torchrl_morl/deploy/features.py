@@ -15,7 +15,9 @@ from torchrl_morl.transforms import (
 )
 from torchrl_morl.transforms.polar import polar_features
 from torchrl_morl.transforms.robot import (
+    LIDAR_RANGE,
     ROBOT_SCALES,
+    TOP_SPEED,
     HullRange,
     InUnitsOf,
     IsNobody,
@@ -166,7 +168,7 @@ def policy_transforms(
         *([InUnitsOf("human_velocity")] if observe_human_velocity and observe_robot else []),
         *([UnaryTransform(["human"], ["nobody"], fn=IsNobody())] if observe_nobody else []),
         *(
-            [UnaryTransform(["robot"], ["robot_features"], fn=RobotScale())]
+            [UnaryTransform(["robot"], ["robot_features"], fn=RobotScale(max_range))]
             if observe_robot
             else []
         ),
@@ -221,11 +223,11 @@ def observation(
     if sensing.observe_human:
         parts.append(polar_features(human, sensing.human_scale))
     if sensing.observe_human_velocity:
-        parts.append(human_velocity / robot[..., 1:2] if sensing.observe_robot else human_velocity)
+        parts.append(human_velocity / robot[..., TOP_SPEED, None] if sensing.observe_robot else human_velocity)
     if sensing.observe_nobody:
         parts.append(nobody)
     if sensing.observe_robot:
-        parts.append(RobotScale()(robot))
+        parts.append(RobotScale(sensing.max_range)(robot))
     return torch.cat(parts, dim=-1)
 
 
@@ -305,11 +307,13 @@ class RowFeatures:
         return row.narrow(-1, self._robot, len(ROBOT_SCALES))
 
     def _of_hull(self, row: Tensor) -> Tensor:
-        """The same row with ranges to the hull, and velocities in units of the top speed."""
+        """The same row with ranges to the hull, velocities in units of the top speed, and a lidar that
+        sees no further than scans do."""
         row = row.clone()
         robot = self.robot_of(row)
         lidar = row.narrow(-1, 0, self.num_sectors)
         lidar.copy_(hull_ranges(lidar, robot))
         if self.observe_human_velocity:
-            row.narrow(-1, self._velocity, 2).div_(robot[..., 1:2])
+            row.narrow(-1, self._velocity, 2).div_(robot[..., TOP_SPEED, None])
+        robot.narrow(-1, LIDAR_RANGE, 1).clamp_max_(self.max_range)
         return row

@@ -15,11 +15,23 @@ from torchrl.envs.transforms import Transform
 from torchrl_morl.representation import describe
 from torchrl_morl.transforms.stored import apart_from_storage
 
-__all__ = ["ROBOT_SCALES", "HullRange", "InUnitsOf", "IsNobody", "RobotScale", "hull_ranges"]
+__all__ = [
+    "LIDAR_RANGE",
+    "ROBOT_SCALES",
+    "TOP_SPEED",
+    "HullRange",
+    "InUnitsOf",
+    "IsNobody",
+    "RobotScale",
+    "hull_ranges",
+]
 
 ROBOT_SCALES = (0.25, 1.0, math.pi, 2 * math.pi, 10.0, 0.25)
 """What becomes 1 of radius (m), top speed (m/s), top turn rate (rad/s), the lidar's view (rad), its range
 (m), and its distance ahead of the rotation centre (m)."""
+
+TOP_SPEED, LIDAR_RANGE = 1, 4
+"""Where these stand in the numbers of a robot."""
 
 
 def hull_ranges(lidar: Tensor, robot: Tensor) -> Tensor:
@@ -49,11 +61,26 @@ def hull_ranges(lidar: Tensor, robot: Tensor) -> Tensor:
 
 @dataclasses.dataclass(frozen=True)
 class RobotScale:
-    """Maps numbers of robots to numbers of order one."""
+    """Maps numbers of robots to numbers of order one.
+
+    Args:
+        max_range: that scans are cut off at, metres. A lidar that sees further reads as one that sees
+            as far: the scans of both are the same.
+
+    Example:
+        >>> import torch
+        >>> robot = torch.tensor([0.25, 1.0, torch.pi, 2 * torch.pi, 100.0, 0.25])
+        >>> RobotScale(max_range=4.0)(robot)
+        tensor([1.0000, 1.0000, 1.0000, 1.0000, 0.4000, 1.0000])
+    """
+
+    max_range: float
 
     def __call__(self, robot: Tensor) -> Tensor:
         """``[*B, 6]``, see :data:`ROBOT_SCALES`."""
-        return robot / robot.new_tensor(ROBOT_SCALES)
+        most = [math.inf] * len(ROBOT_SCALES)
+        most[LIDAR_RANGE] = self.max_range
+        return torch.minimum(robot, robot.new_tensor(most)) / robot.new_tensor(ROBOT_SCALES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,5 +186,5 @@ class InUnitsOf(_WithRobot):
         super().__init__(key, key, robot_key)
 
     def compute(self, value: Tensor, robot: Tensor) -> Tensor:
-        """Over the second number of the robot."""
-        return value / robot[..., 1:2]
+        """Over the robot's top speed."""
+        return value / robot[..., TOP_SPEED, None]

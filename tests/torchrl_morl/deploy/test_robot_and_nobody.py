@@ -12,7 +12,7 @@ from tensordict import TensorDict
 
 from torchrl_morl.deploy import LidarGeometry, PolicyRunner, Sensing, export_onnx
 from torchrl_morl.deploy.export import main
-from torchrl_morl.deploy.features import policy_transforms
+from torchrl_morl.deploy.features import observation, policy_transforms
 from torchrl_morl.deploy.graph import PolicyGraph
 from torchrl_morl.deploy.onnx_runner import OnnxRunner
 from torchrl_morl.deploy.policy_files import save_policy
@@ -75,6 +75,25 @@ def test_features_are_those_of_the_training(policy):
         policy._features.mark_nobody(row)
         observation = policy._features(row)[: SENSING.observation_size]
         torch.testing.assert_close(observation, data["observation"], atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("further", [8.0, 100.0])
+def test_a_lidar_that_sees_further_than_scans_reads_as_one_that_sees_as_far(policy, further):
+    def act(lidar_range):
+        robot = (*ROBOT[:4], lidar_range, ROBOT[5])
+        features = observation(
+            SENSING,
+            **{name: torch.tensor(value) for name, value in sensed(1).items()},
+            nobody=torch.zeros(1),
+            robot=torch.tensor(robot),
+        )
+        return features, policy.act(preference=PREFERENCE, robot=robot, **sensed(1))
+
+    as_far = act(SENSING.max_range)
+    for one, other in zip(act(further), as_far):
+        np.testing.assert_array_equal(one, other)
+    for one, other in zip(act(3.0), as_far):
+        assert abs(one - other).max() > 1e-6
 
 
 def test_nobody_is_what_is_reported_of_nobody(policy):
