@@ -41,6 +41,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # Seconds of work, several checkpoints in every stage that makes them.
 OVERRIDES = {
     "--episodes": "1",
+    "--with-pd-morl": "",
     "--drex": """torch_threads=1 env.num_threads=1 demonstrations.count=4 demonstrations.batch=8
         cloning.updates=60 cloning.batch_size=32 cloning.num_cells=[16] noise.levels=[0.0,0.3]
         noise.rollouts=2 style_negatives.rollouts=12 reward_model.updates=520 reward_model.num_cells=[16]

@@ -39,6 +39,12 @@ def refuse_places(option: str, overrides: Sequence[str]) -> None:
             raise ValueError(f"{option} {one}: a stage takes fields of its own, not Hydra's.")
 
 
+def preset(overrides: Sequence[str], name: str) -> list[str]:
+    """A preset of a stage, unless the user chose another one: Hydra takes one."""
+    chosen = any(one.startswith("preset=") for one in overrides)
+    return [] if chosen else [f"preset={name}"]
+
+
 def run(name: str, command: Sequence[str]) -> float:
     """Run ``python -m command`` as a stage and return its wall time in seconds.
 

@@ -1,14 +1,14 @@
 """Teach the robot your style: from recorded drives to a policy that drives so, and a picture of both.
 
 Imports the drives, distils them into a reward model (D-REX), trains a policy that a preference makes
-more or less like them (PD-MORL), evaluates it in fresh scenes, and draws your drives beside its own. About
+more or less like them (MO-PPO), evaluates it in fresh scenes, and draws your drives beside its own. About
 ten minutes on two cores::
 
     python -m recipes.teach examples/drives_right.csv
     python -m recipes.teach --resume runs/teach/2026-01-31_12-00-00    # one that was stopped
 
 ``docs/how_to/style.md`` says what to record, and what to do where it does not work. The stages are recipes of
-their own: ``--drex`` and ``--pd-morl`` pass overrides on to them.
+their own: ``--drex`` and ``--mo-ppo`` pass overrides on to them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from . import stages
 from .arguments import Parser, episodes, existing, existing_file, existing_folder
 from .drex import schema as drex_schema
 from .evaluation.comparison import compare, draw, table
-from .pd_morl import schema as morl_schema
+from .mo_ppo import schema as mo_ppo_schema
 from .record import Record, begin, locked, refuse_used, to_resume
 from .training.command import check_stage
 from .training.quoting import quoted
@@ -42,6 +42,11 @@ from .training.run_folder import final_policy, write_atomically
 
 _RUNS = Path("runs/teach")
 _DATASET = "demonstrations.safetensors"
+_QUICK = (
+    "collector.total_frames=3_276_800",
+    "evaluation.interval=655_360",
+    "evaluation.episodes=50",
+)
 _SET_HERE = ("env.robot", "demonstrations.dataset", "demonstrations.reward_model")
 
 
@@ -72,9 +77,11 @@ def make_parser() -> Parser:
     parser.add_argument(
         "--episodes", type=episodes, default=100, help="fresh scenes of the evaluation"
     )
-    parser.add_argument("--full", action="store_true", help="full trainings instead of quick ones")
+    parser.add_argument(
+        "--full", action="store_true", help="a training of full length instead of a quick one"
+    )
     parser.add_argument("--drex", nargs="*", default=[], help="overrides of recipes/drex")
-    parser.add_argument("--pd-morl", nargs="*", default=[], help="overrides of recipes/pd_morl")
+    parser.add_argument("--mo-ppo", nargs="*", default=[], help="overrides of recipes/mo_ppo")
     return parser
 
 
@@ -93,7 +100,7 @@ def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
         "episodes": args.episodes,
         "full": args.full,
         "drex": args.drex,
-        "pd_morl": args.pd_morl,
+        "mo_ppo": args.mo_ppo,
     }
     if args.output is not None:
         refuse_used(args.output)
@@ -118,7 +125,7 @@ def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
         episodes=int,
         full=bool,
         drex=list,
-        pd_morl=list,
+        mo_ppo=list,
     )
     if make_parser().changed(args) - {"resume"}:
         raise ValueError("--resume goes on with the file and options of the start: give no others.")
@@ -154,13 +161,13 @@ def check(options: Mapping[str, Any], output: Path) -> None:
     Raises:
         ValueError: in one line.
     """
-    for option, given in (("--drex", options["drex"]), ("--pd-morl", options["pd_morl"])):
+    for option, given in (("--drex", options["drex"]), ("--mo-ppo", options["mo_ppo"])):
         stages.refuse_places(option, given)
         for one in given:
             if one.partition("=")[0].lstrip("+") in _SET_HERE:
                 raise ValueError(f"{option} {one}: that is set by recipes.teach, leave it out.")
     check_stage("--drex", drex_schema, drex_command(options, output / "drex")[1:], output)
-    check_stage("--pd-morl", morl_schema, morl_command(options, output / "pd_morl")[1:], output)
+    check_stage("--mo-ppo", mo_ppo_schema, mo_ppo_command(options, output / "mo_ppo")[1:], output)
 
 
 def teach(record: Record) -> None:
@@ -168,8 +175,8 @@ def teach(record: Record) -> None:
     started = time.perf_counter()
     options, output = record.options, record.folder
     stages.stage(record, "D-REX", "drex", functools.partial(drex_command, options))
-    morl = stages.stage(record, "PD-MORL", "pd_morl", functools.partial(morl_command, options))
-    policy = final_policy(morl)
+    ppo = stages.stage(record, "MO-PPO", "mo_ppo", functools.partial(mo_ppo_command, options))
+    policy = final_policy(ppo)
     results = compare(policy, output / _DATASET, episodes=options["episodes"])
     picture = output / "style.png"
     draw(picture, results)
@@ -193,29 +200,29 @@ def drex_command(options: Mapping[str, Any], folder: Path) -> list[str]:
     return [
         "recipes.drex.drex",
         f"hydra.run.dir={quoted(folder)}",
+        # What a clone learns from, and a reward model that a noisy learner can follow.
+        *stages.preset(options["drex"], "tracked"),
         f"demonstrations.dataset={quoted(folder.parent / _DATASET)}",
-        *common(options),
+        f"env.robot={quoted(options['robot'])}",
         f"torch_threads={threads()}",
         *options["drex"],
     ]
 
 
-def morl_command(options: Mapping[str, Any], folder: Path) -> list[str]:
+def mo_ppo_command(options: Mapping[str, Any], folder: Path) -> list[str]:
     """What trains a policy with that reward model."""
+    drex = folder.parent / "drex"
     return [
-        "recipes.pd_morl.pd_morl",
+        "recipes.mo_ppo.mo_ppo",
         f"hydra.run.dir={quoted(folder)}",
-        f"demonstrations.reward_model={quoted(folder.parent / 'drex' / 'reward_model')}",
-        f"demonstrations.dataset={quoted(folder.parent / _DATASET)}",
-        *common(options),
+        *stages.preset(options["mo_ppo"], "nothing"),
+        *([] if options["full"] else _QUICK),
+        f"demonstrations.reward_model={quoted(drex / 'reward_model')}",
+        f"demonstrations.dataset={quoted(drex / 'tracked.safetensors')}",
+        f"env.robot={quoted(options['robot'])}",
         f"compute.torch_threads={threads()}",
-        *options["pd_morl"],
+        *options["mo_ppo"],
     ]
-
-
-def common(options: Mapping[str, Any]) -> list[str]:
-    preset = [] if options["full"] else ["preset=quick"]
-    return [*preset, f"env.robot={quoted(options['robot'])}"]
 
 
 def threads() -> int:

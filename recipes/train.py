@@ -1,11 +1,12 @@
-"""Train a policy from nothing as the shipped one: demonstrations, D-REX, PD-MORL, MO-PPO, evaluation.
+"""Train a policy from nothing: demonstrations, D-REX, MO-PPO, evaluation.
 
-``make train`` runs this. Every stage is a recipe of its own; options are passed on to them. MO-PPO learns
-without PD-MORL, too, in less time and closer to the demonstrations::
+``make train`` runs this. Every stage is a recipe of its own; options are passed on to them. PD-MORL, the
+paper's method, can come before MO-PPO, or stand alone::
 
-    python -m recipes.train                                   # the shipped configuration
-    python -m recipes.train --without-pd-morl
-    python -m recipes.train --pd-morl seed=1 collector.total_frames=100000
+    python -m recipes.train
+    python -m recipes.train --mo-ppo seed=1 collector.total_frames=4000000
+    python -m recipes.train --with-pd-morl                    # MO-PPO polishes what PD-MORL has learned
+    python -m recipes.train --without-mo-ppo                  # PD-MORL alone
     python -m recipes.train --resume runs/train/2026-01-31_12-00-00
 """
 
@@ -56,13 +57,14 @@ def make_parser() -> Parser:
     parser.add_argument("--drex", nargs="*", default=[], help="overrides of recipes/drex")
     parser.add_argument("--pd-morl", nargs="*", default=[], help="overrides of recipes/pd_morl")
     parser.add_argument("--mo-ppo", nargs="*", default=[], help="overrides of recipes/mo_ppo")
-    parser.add_argument(
-        "--without-pd-morl", action="store_true", help="MO-PPO alone, from a clone of the drives"
+    learners = parser.add_mutually_exclusive_group()
+    learners.add_argument(
+        "--with-pd-morl", action="store_true", help="PD-MORL first, which MO-PPO then polishes"
     )
-    parser.add_argument(
+    learners.add_argument(
         "--without-mo-ppo", action="store_true", help="PD-MORL alone, the paper's method"
     )
-    parser.add_argument(
+    learners.add_argument(
         "--paper", action="store_true", help="the same with the paper's own settings; hours"
     )
     parser.add_argument(
@@ -77,39 +79,25 @@ def begun(args: argparse.Namespace) -> tuple[Record, IO[str]]:
     Raises:
         ValueError: for an override that a stage refuses, or a folder that holds something.
     """
-    if args.without_mo_ppo and args.mo_ppo:
-        raise ValueError("--without-mo-ppo leaves nothing that --mo-ppo could change: give one.")
+    alone = args.without_mo_ppo or args.paper
+    with_pd_morl = alone or args.with_pd_morl
+    if alone and args.mo_ppo:
+        raise ValueError("PD-MORL alone leaves nothing that --mo-ppo could change: leave it out.")
+    if args.pd_morl and not with_pd_morl:
+        raise ValueError("--pd-morl changes nothing without PD-MORL: give --with-pd-morl, too.")
     options = {
         "drex": args.drex,
         "pd_morl": args.pd_morl,
         "mo_ppo": args.mo_ppo,
-        "without_pd_morl": args.without_pd_morl,
-        "without_mo_ppo": args.without_mo_ppo or args.paper,
+        "without_pd_morl": not with_pd_morl,
+        "without_mo_ppo": alone,
         "paper": args.paper,
         "episodes": args.episodes,
     }
-    if args.without_pd_morl:
-        check_without_pd_morl(args)
     if args.output is not None:
         refuse_used(args.output)
     check(options, args.output or _RUNS / "new")
     return begin(_RUNS, args.output, options, "recipes.train")
-
-
-def check_without_pd_morl(args: argparse.Namespace) -> None:
-    """Refuse options that need it.
-
-    Raises:
-        ValueError: in one line.
-    """
-    others = {
-        "--pd-morl": args.pd_morl,
-        "--without-mo-ppo": args.without_mo_ppo,
-        "--paper": args.paper,
-    }
-    for name, given in others.items():
-        if given:
-            raise ValueError(f"{name} needs PD-MORL: leave it out, or --without-pd-morl.")
 
 
 def resumed(args: argparse.Namespace) -> tuple[Record, IO[str]]:
@@ -201,9 +189,7 @@ class Plan:
         return self.record.options.get("paper", False)
 
     def _preset(self, stage: str, name: str) -> list[str]:
-        """A preset, unless the user chose another one: Hydra takes one."""
-        chosen = any(one.startswith("preset=") for one in self.record.options[stage])
-        return [] if chosen else [f"preset={name}"]
+        return stages.preset(self.record.options[stage], name)
 
     def made_by_drex(self) -> Path:
         return self.record.folder_of("D-REX") or self.record.folder / "drex"

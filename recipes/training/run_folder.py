@@ -223,7 +223,6 @@ def _saved(run_dir: Path) -> list[Path]:
     if not policies:
         sys.exit(
             f"{run_dir / 'policies'} holds no policy: the training ended before its first update. "
-            "It must last longer than collector.init_random_frames steps: raise "
-            "--pd-morl collector.total_frames=..."
+            "Raise collector.total_frames."
         )
     return policies

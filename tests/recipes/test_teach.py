@@ -16,6 +16,7 @@ from torchrl_morl.deploy import load_policy
 
 DRIVES = str(ROOT / "examples" / "drives_right.csv")
 DREX = [
+    "tracking.rollouts=20",
     "cloning.updates=50",
     "cloning.batch_size=64",
     "cloning.num_cells=[16]",
@@ -30,17 +31,19 @@ DREX = [
     "torch_threads=1",
     "bfloat16=false",
 ]
-PD_MORL = [
-    "collector.total_frames=960",
-    "collector.init_random_frames=480",
-    "collector.frames_per_batch=96",
-    "evaluation.interval=576",
+MO_PPO = [
+    "collector.total_frames=512",
+    "collector.frames_per_batch=64",
+    "evaluation.interval=256",
     "evaluation.episodes=3",
-    "replay_buffer.batch_size=16",
-    "replay_buffer.size=2000",
-    "network.num_cells=[16,16]",
+    "env.num_envs=8",
+    "env.num_threads=1",
     "env.max_episode_steps=30",
-    "compute.compile=false",
+    "network.num_cells=[16]",
+    "optim.cloning_updates=20",
+    "optim.batch_size=32",
+    "optim.penalty_batch_size=16",
+    "optim.critic_batches=1",
     "compute.bfloat16=false",
     "compute.torch_threads=1",
 ]
@@ -57,8 +60,8 @@ def lesson(tmp_path_factory) -> tuple[Path, str]:
         4,
         "--drex",
         *DREX,
-        "--pd-morl",
-        *PD_MORL,
+        "--mo-ppo",
+        *MO_PPO,
     ]
     result = run("recipes.teach", *arguments)
     assert result.returncode == 0, result.stderr
@@ -68,7 +71,7 @@ def lesson(tmp_path_factory) -> tuple[Path, str]:
 @pytest.mark.slow
 def test_it_leaves_a_policy_with_the_objective_of_the_drives(lesson):
     folder, printed = lesson
-    policies = sorted((folder / "pd_morl" / "policies").iterdir())
+    policies = sorted((folder / "mo_ppo" / "policies").iterdir())
     assert "demo" in load_policy(policies[-1]).preference_space.tunable
     assert f"try it: python -m recipes.demo --policy {folder}" in printed
 
@@ -96,13 +99,13 @@ def test_what_was_not_learned_is_said(lesson):
     ("options", "message"),
     [
         (["--drex", "reward_model.updates=-3"], "--drex: reward_model.updates must be at least 1"),
-        (["--pd-morl", "bogus.field=1"], "--pd-morl: there is no field bogus.field"),
-        (["--pd-morl", "hydra.run.dir=elsewhere"], "--pd-morl hydra.run.dir=elsewhere: the stages"),
+        (["--mo-ppo", "bogus.field=1"], "--mo-ppo: there is no field bogus.field"),
+        (["--mo-ppo", "hydra.run.dir=elsewhere"], "--mo-ppo hydra.run.dir=elsewhere: the stages"),
         (["--drex", "resume=elsewhere"], "--drex resume=elsewhere: the stages"),
         (["--drex", "env.robot=hsr"], "--drex env.robot=hsr: that is set by recipes.teach"),
-        (["--pd-morl", "+env.robot=hsr"], "--pd-morl +env.robot=hsr: that is set by"),
-        (["--pd-morl", "demonstrations.dataset=null"], "that is set by recipes.teach"),
-        (["--pd-morl", "+hydra.callbacks.x=1"], "not Hydra's"),
+        (["--mo-ppo", "+env.robot=hsr"], "--mo-ppo +env.robot=hsr: that is set by"),
+        (["--mo-ppo", "demonstrations.dataset=null"], "that is set by recipes.teach"),
+        (["--mo-ppo", "+hydra.callbacks.x=1"], "not Hydra's"),
         (["--output", "/proc/x"], "--output /proc/x: /proc cannot be written"),
         (["--robot", "broom"], "broom"),
         (["--episodes", "0"], "--episodes"),
@@ -129,13 +132,13 @@ def test_a_folder_with_something_in_it_is_not_written_to(tmp_path, capsys):
 
 @pytest.fixture
 def stages_run(monkeypatch, tmp_path) -> list[list[str]]:
-    """What would be run; PD-MORL is cut short the first time, then leaves a policy."""
+    """What would be run; MO-PPO is cut short the first time, then leaves a policy."""
     calls: list[list[str]] = []
 
     def run(name: str, command: list[str]) -> float:
         calls.append(command)
         folder = tmp_path / "lesson" / command[0].split(".")[1]
-        if name == "PD-MORL" and not folder.exists():
+        if name == "MO-PPO" and not folder.exists():
             (folder / ".hydra").mkdir(parents=True)
             (folder / ".hydra" / "overrides.yaml").write_text("[]")
             (folder / "checkpoints").mkdir()
@@ -178,8 +181,8 @@ def test_a_lesson_that_was_cut_short_goes_on(stages_run, tmp_path, monkeypatch, 
     with pytest.raises(SystemExit, match=rf"error: disk full When .* go on with: {go_on}"):
         run_here(teach.main, "--resume", str(lesson))
     assert (lesson / "demonstrations.safetensors").is_file()
-    assert stages_run[2:] == [["recipes.pd_morl.pd_morl", f"resume={lesson / 'pd_morl'}"]]
-    assert ended == [lesson / "pd_morl" / "policy"]
+    assert stages_run[2:] == [["recipes.mo_ppo.mo_ppo", f"resume={lesson / 'mo_ppo'}"]]
+    assert ended == [lesson / "mo_ppo" / "policy"]
 
 
 def test_a_bag_is_a_recording_too(stages_run, tmp_path):

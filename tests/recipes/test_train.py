@@ -53,7 +53,7 @@ def test_training_that_saved_no_policy_is_named(folder_exists, tmp_path):
         recipes.train.final_policy(tmp_path)
     message = str(stop.value)
     assert f"{tmp_path / 'policies'} holds no policy" in message
-    assert "--pd-morl collector.total_frames=" in message
+    assert "Raise collector.total_frames." in message
 
 
 @pytest.mark.parametrize("polish", [True, False])
@@ -70,7 +70,7 @@ def test_train_runs_its_stages_one_after_the_other(polish, tmp_path, monkeypatch
 
     monkeypatch.setattr(recipes.stages, "run", run)
     options = ["--output", str(tmp_path / "run"), "--episodes", "5", "--pd-morl", "seed=1"]
-    options += ["--mo-ppo", "seed=3"] if polish else ["--without-mo-ppo"]
+    options += ["--with-pd-morl", "--mo-ppo", "seed=3"] if polish else ["--without-mo-ppo"]
     monkeypatch.setattr(sys, "argv", ["train.py", *options, "--drex", "seed=2"])
     recipes.train.main()
     stages = ["D-REX", "PD-MORL", *(["MO-PPO"] if polish else []), "evaluation"]

@@ -53,7 +53,10 @@ def train(*arguments: object) -> int | str:
             ["--drex", "reward_model.updates=0"],
             "--drex: reward_model.updates must be at least 1, got 0.",
         ),
-        (["--pd-morl", "seed=1", "optim.lr=-1"], "--pd-morl: optim.lr must be positive, got -1."),
+        (
+            ["--with-pd-morl", "--pd-morl", "seed=1", "optim.lr=-1"],
+            "--pd-morl: optim.lr must be positive, got -1.",
+        ),
         (
             ["--mo-ppo", "loss.clip_epsilon=-1"],
             "--mo-ppo: loss.clip_epsilon must be in (0, 1), got -1.",
@@ -62,26 +65,33 @@ def train(*arguments: object) -> int | str:
             ["--mo-ppo", "optim.lrr=1"],
             "--mo-ppo: there is no field optim.lrr: did you mean optim.lr?",
         ),
-        (["--pd-morl", "preset=fast"], "--pd-morl: In 'config': Could not find 'preset/fast'"),
-        (["--pd-morl", "demonstrations.dataset=x.safetensors"], "there is no such file."),
         (
-            ["--pd-morl", "env.observe_human=false"],
+            ["--with-pd-morl", "--pd-morl", "preset=fast"],
+            "--pd-morl: In 'config': Could not find 'preset/fast'",
+        ),
+        (
+            ["--with-pd-morl", "--pd-morl", "demonstrations.dataset=x.safetensors"],
+            "there is no such file.",
+        ),
+        (
+            ["--with-pd-morl", "--pd-morl", "env.observe_human=false"],
             "env.observe_human must be the same for --drex and --pd-morl, got True and False.",
         ),
         (
-            ["--without-pd-morl", "--drex", "env.observe_human=false"],
+            ["--drex", "env.observe_human=false"],
             "env.observe_human must be the same for --drex and --mo-ppo, got False and True.",
         ),
         (
-            ["--without-pd-morl", "--pd-morl", "seed=1"],
-            "--pd-morl needs PD-MORL: leave it out, or --without-pd-morl.",
+            ["--pd-morl", "seed=1"],
+            "--pd-morl changes nothing without PD-MORL: give --with-pd-morl, too.",
         ),
-        (["--without-pd-morl", "--without-mo-ppo"], "--without-mo-ppo needs PD-MORL"),
-        (["--without-pd-morl", "--paper"], "--paper needs PD-MORL"),
+        (["--with-pd-morl", "--without-mo-ppo"], "not allowed with argument"),
+        (["--with-pd-morl", "--paper"], "not allowed with argument"),
+        (["--paper", "--mo-ppo", "seed=1"], "PD-MORL alone leaves nothing that --mo-ppo"),
         (["--mo-ppo", "preset=fast"], "--mo-ppo: In 'config': Could not find 'preset/fast'"),
-        (["--without-pd-morl", "--mo-ppo", "preset=quick"], "--mo-ppo: "),
+        (["--mo-ppo", "preset=quick"], "--mo-ppo: "),
         (
-            ["--pd-morl", "hydra.run.dir=x"],
+            ["--with-pd-morl", "--pd-morl", "hydra.run.dir=x"],
             "--pd-morl hydra.run.dir=x: the stages run in the folder of --output, leave it out.",
         ),
         (
@@ -97,7 +107,7 @@ def train(*arguments: object) -> int | str:
         (["--resume", "nowhere"], "argument --resume: must be a folder, 'nowhere' does not exist"),
         (["--resume", "."], "stages.json not found"),
         (["--resume", ".", "--output", "x"], "not allowed with argument"),
-        (["--without-mo-ppo", "--mo-ppo", "seed=1"], "--without-mo-ppo leaves nothing that"),
+        (["--without-mo-ppo", "--mo-ppo", "seed=1"], "PD-MORL alone leaves nothing that"),
         (["--output", "/proc/x"], "--output /proc/x: /proc cannot be written"),
     ],
 )
@@ -111,7 +121,7 @@ def test_a_mistake_is_one_line_before_the_first_stage(arguments, message, stages
 
 def test_a_training_needs_no_pd_morl(stages, tmp_path):
     output = tmp_path / "run"
-    given = ("--without-pd-morl", "--drex", "seed=2", "--mo-ppo", "seed=3")
+    given = ("--drex", "seed=2", "--mo-ppo", "seed=3")
     assert train("--output", output, *given) == 0
     assert [name for name, _ in stages] == ["D-REX", "MO-PPO", "evaluation"]
     drex, ppo, evaluation = (command for _, command in stages)
@@ -130,10 +140,10 @@ def test_a_training_needs_no_pd_morl(stages, tmp_path):
 @pytest.mark.parametrize(
     ("options", "names"),
     [
-        ([], ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]),
-        (["--pd-morl", "seed=1"], ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]),
+        (["--with-pd-morl"], ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]),
+        (["--with-pd-morl", "--pd-morl", "seed=1"], ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]),
         (["--without-mo-ppo"], ["D-REX", "PD-MORL", "evaluation"]),
-        (["--without-pd-morl", "--drex", "preset=quick"], ["D-REX", "MO-PPO", "evaluation"]),
+        (["--drex", "preset=quick"], ["D-REX", "MO-PPO", "evaluation"]),
     ],
 )
 def test_the_stages_are_those_that_are_asked_for(options, names, stages, tmp_path):
@@ -163,12 +173,12 @@ def test_a_record_of_before_goes_on_with_pd_morl(stages, tmp_path):
 def test_a_training_records_what_is_finished(stages, tmp_path):
     output = tmp_path / "ä (1),b=c"
     assert train("--output", output, "--drex", "seed=2", "--episodes", 5) == 0
-    assert [name for name, _ in stages] == ["D-REX", "PD-MORL", "MO-PPO", "evaluation"]
+    assert [name for name, _ in stages] == ["D-REX", "MO-PPO", "evaluation"]
     assert f"hydra.run.dir='{output}/drex'" in stages[0][1]
     record = Record.load(output)
     assert record.finished and all(map(record.is_finished, record.stages))
     assert record.options["drex"] == ["seed=2"] and record.options["episodes"] == 5
-    assert record.stages["MO-PPO"]["command"] == stages[2][1]
+    assert record.stages["MO-PPO"]["command"] == stages[1][1]
     assert train("--resume", output) == 2
 
 
@@ -199,7 +209,7 @@ def test_a_training_that_was_cut_short_goes_on(
 
     monkeypatch.setattr(recipes.stages, "run", cut)
     output = tmp_path / "run"
-    assert train("--output", output, "--drex", "seed=2") == 130
+    assert train("--output", output, "--with-pd-morl", "--drex", "seed=2") == 130
     go_on = f"python -m recipes.train --resume {output}"
     assert capsys.readouterr().err == f"stopped; go on with: {go_on}\n"
     assert train("--output", output) == 2
@@ -243,7 +253,7 @@ def test_a_stage_that_leaves_no_score_is_one_line(stages, tmp_path, monkeypatch)
         return seconds
 
     monkeypatch.setattr(recipes.stages, "run", spoil)
-    line = train("--output", tmp_path / "run")
+    line = train("--output", tmp_path / "run", "--with-pd-morl")
     assert "policy.json does not say the score of the policy" in line
     assert f"go on with: python -m recipes.train --resume {tmp_path / 'run'}" in line
 
