@@ -25,7 +25,7 @@ demo: $(STAMP) ## drive one robot through several preferences, and film it
 page: $(STAMP) ## build a page to play with in a browser: runs/page/index.html
 	@$(RUN) recipes.page $(ARGS)
 
-train: $(STAMP) ## train a policy from nothing as the shipped one, ARGS="--without-pd-morl" sooner
+train: $(STAMP) ## train a policy from nothing
 	@$(RUN) recipes.train $(ARGS)
 
 test: $(STAMP) ## run the tests and the docstring examples, ARGS="-m slow" for the long ones
