@@ -13,18 +13,15 @@ from torch import Tensor, nn
 
 from envs import HUMAN_RADIUS
 from envs.policy_env import observed
+from recipes.training.people import somebody_stands
 from torchrl_morl.deploy import Sensing
 from torchrl_morl.deploy.features import NUM_SECTORS, observation_parts
 from torchrl_morl.deploy.mirror import mirror_action, mirror_observation
 from torchrl_morl.geometry import wrap_angle
 from torchrl_morl.transforms import LogRange
-from torchrl_morl.transforms.robot import ROBOT_SCALES, TOP_SPEED
 
 _MARGIN = 0.1
 """Radians."""
-
-_STANDING = 0.2
-"""Speed below which a human stands, m/s; people are demonstrated standing."""
 
 
 def compute(
@@ -69,7 +66,7 @@ def compute(
             objective=demo,
             radius=cfg.loss.anchor_radius,
             clearance=cfg.loss.anchor_clearance,
-            human_speed=human_speed(batch["observation"], parts),
+            stands=somebody_stands(batch["observation"], parts),
         )
     return found
 
@@ -123,7 +120,7 @@ def anchor(
     objective: int,
     radius: float,
     clearance: float = 0.0,
-    human_speed: Tensor | None = None,
+    stands: Tensor | None = None,
 ) -> Tensor:
     """How far a policy has gone from the one it started as, where an objective matters.
 
@@ -135,8 +132,8 @@ def anchor(
     A mean over the transitions, weighed by the cube of the weight of the objective: it holds a corner
     of the preferences and leaves the middle free. Far from the human it holds nothing: styles differ
     in how a person is passed, and the rest of the way only has to be driven well. Nor does it hold
-    what ends in a failure: the policy at the start may have led there. Nor where a box is near, or the
-    human walks: what was demonstrated may lead into them.
+    what ends in a failure: the policy at the start may have led there. Nor where a box is near, nobody
+    is there, or the human walks: what was demonstrated may lead into them.
 
     Args:
         batch: of transitions, with the ``start_action`` of the policy at the start, averaged over time or
@@ -148,32 +145,16 @@ def anchor(
         objective: the place of the weight in the preference.
         radius: around the human, metres.
         clearance: from the nearest box, metres; 0 holds beside boxes, too.
-        human_speed: m/s, ``[*B]``; ``None`` holds whether they stand or walk.
+        stands: where somebody stands, ``[*B]``; ``None`` holds whatever people do.
     """
     divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
     held = (batch["human"][..., 0] < radius) & ~batch["fails"]
     if clearance:
         held = held & (nearest_box(batch["observation"], batch["human"]) >= clearance)
-    if human_speed is not None:
-        held = held & (human_speed < _STANDING)
+    if stands is not None:
+        held = held & stands
     weight = batch["preference"][..., objective] ** 3 * held
     return (weight * divergence.log1p()).mean()
-
-
-def human_speed(observation: Tensor, parts: Mapping[str, Sequence[int]]) -> Tensor | None:
-    """How fast the human walks, m/s, ``[*B]``; ``None`` where that is not observed.
-
-    Args:
-        observation: ``[*B, D]``, see :func:`~torchrl_morl.deploy.features.policy_transforms`.
-        parts: of it, see :func:`~torchrl_morl.deploy.features.observation_parts`.
-    """
-    if "human_velocity" not in parts:
-        return None
-    ahead, left = parts["human_velocity"]
-    speed = torch.hypot(observation[..., ahead], observation[..., left])
-    if "robot" in parts:  # velocities are in units of its top speed
-        speed = speed * ROBOT_SCALES[TOP_SPEED] * observation[..., parts["robot"][TOP_SPEED]]
-    return speed
 
 
 def nearest_box(observation: Tensor, human: Tensor) -> Tensor:

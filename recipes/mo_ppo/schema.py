@@ -90,6 +90,9 @@ class Demonstrations(Section):
     dataset: DemonstrationFile | None = Field(
         description="Demonstrations that a training from nothing clones first, where they are wished."
     )
+    standing_only: bool = Field(
+        description="Whether the style pays only where somebody stands, as in what was demonstrated."
+    )
 
     @model_validator(mode="after")
     def _have_an_objective(self) -> Demonstrations:

@@ -12,6 +12,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.envs import EnvBase
 
@@ -21,6 +22,7 @@ from envs.policy_env import (
     OBSERVED,
     make_policy_env,
     observation_size,
+    observed,
     observed_size,
     simulated,
 )
@@ -29,11 +31,13 @@ from envs.splits import check_validation_seed, training_seed
 from recipes.evaluation.sweep import scene_layout
 from recipes.objectives import reward_objectives
 from torchrl_morl.deploy import load_reward_model
+from torchrl_morl.deploy.features import observation_parts
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
 
 from .gradients import use_bfloat16
+from .people import WhereSomebodyStands
 from .run_folder import check_run_dir
 
 
@@ -47,7 +51,7 @@ class Task:
     env: EnvBase
     """Where it trains."""
     eval_env: EnvBase
-    reward_model: RewardModel | None
+    reward_model: TensorDictModuleBase | None
     demo_card: dict[str, Any] | None
     demonstration: TensorDict | None
     """What the demonstrator does in the scenes of the evaluation."""
@@ -79,6 +83,8 @@ def make_task(cfg: DictConfig, run_dir: Path | None = None) -> Task:
     device = torch.device(cfg.device)
     demo = load_demonstration_objective(cfg)
     reward_model, demo_card = demo if demo else (None, None)
+    if demo and cfg.demonstrations.get("standing_only"):
+        reward_model = WhereSomebodyStands(reward_model, observation_parts(**observed(cfg.env)))
     preference_space = make_preference_space(
         cfg.env.get("objectives"), with_demonstrations=demo is not None
     )
@@ -144,7 +150,7 @@ def make_preference_space(
 
 
 def make_train_env(
-    cfg: DictConfig, preference_space: PreferenceSpace, reward_model: RewardModel | None
+    cfg: DictConfig, preference_space: PreferenceSpace, reward_model: TensorDictModuleBase | None
 ) -> EnvBase:
     sampler = PreferenceSampler(
         preference_space,
@@ -161,7 +167,7 @@ def make_train_env(
 def make_worker_env(
     cfg: DictConfig,
     preference_space: PreferenceSpace,
-    reward_model: RewardModel | None,
+    reward_model: TensorDictModuleBase | None,
     seed: int,
     num_envs: int,
 ) -> EnvBase:
@@ -172,7 +178,7 @@ def make_worker_env(
 
 
 def make_eval_env(
-    cfg: DictConfig, preference_space: PreferenceSpace, reward_model: RewardModel | None
+    cfg: DictConfig, preference_space: PreferenceSpace, reward_model: TensorDictModuleBase | None
 ) -> EnvBase:
     sampler = PreferenceSampler(preference_space)
     return make_policy_env(sampler, reward_model=reward_model, **evaluation_arguments(cfg))

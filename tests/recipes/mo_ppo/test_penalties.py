@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 
-import pytest
 import torch
 from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torchrl.data import Bounded
 
 from recipes.mo_ppo import penalties
-from torchrl_morl.deploy import Sensing
-from torchrl_morl.deploy.features import PARTS, observation, observation_parts
 from torchrl_morl.modules import make_actor
 from torchrl_morl.transforms import LogRange
 
@@ -88,7 +85,7 @@ def test_anchor_lets_go_beside_a_box():
         torch.testing.assert_close(cost(clearance), torch.tensor(math.log(3) * held / 2))
 
 
-def test_anchor_lets_go_of_people_who_walk():
+def test_anchor_lets_go_where_nobody_stands():
     batch = TensorDict(
         preference=torch.tensor([[1.0, 0.0]]).expand(3, 2),
         human=torch.tensor([[3.0, 1.0]]).expand(3, 2),
@@ -97,33 +94,16 @@ def test_anchor_lets_go_of_people_who_walk():
         batch_size=[3],
     )
     action = torch.tensor([0.0, 0.2]).expand(3, 2)
-    for human_speed, held in ((None, 3), (torch.tensor([0.0, 0.14, 0.42]), 2)):
+    for stands, held in ((None, 3), (torch.tensor([True, True, False]), 2)):
         cost = penalties.anchor(
             batch,
             action,
             sigma=torch.tensor([0.1, 0.1]),
             objective=0,
             radius=9.0,
-            human_speed=human_speed,
+            stands=stands,
         )
         torch.testing.assert_close(cost, torch.tensor(math.log(3) * held / 3))
-
-
-def test_speed_of_the_human_is_in_metres_per_second_for_any_robot():
-    seen = dict.fromkeys(PARTS, None) | {
-        "lidar": torch.full((30,), 4.0),
-        "goal": torch.tensor([5.0, 0.0]),
-        "human": torch.tensor([2.0, 1.0]),
-        "human_velocity": torch.tensor([0.3, -0.4]),
-        "nobody": torch.zeros(1),
-        "robot": torch.tensor([0.2, 0.25, 2.0, 6.28, 4.0, 0.0]),
-    }
-    velocity = {"observe_human_velocity": True}
-    any_robot = velocity | {"observe_nobody": True, "observe_robot": True}
-    for observed, expected in (({}, None), (velocity, 0.5), (any_robot, 0.5)):
-        features = observation(Sensing(**observed), **seen)
-        speed = penalties.human_speed(features, observation_parts(**observed))
-        assert speed == (expected if expected is None else pytest.approx(expected))
 
 
 def test_what_a_clone_would_do_is_asked_at_one_preference():
