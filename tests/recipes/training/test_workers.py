@@ -90,6 +90,16 @@ def test_the_same_seed_gives_a_worker_the_same_drives(tmp_path):
             "collector.num_workers must be 1 with collector.backend=direct",
         ),
         (
+            ("collector.worker_cpus=2",),
+            "collector.worker_cpus must be 1 with collector.backend=direct, where the process of the "
+            "training collects, got 2: give collector.backend=ray.",
+        ),
+        (
+            ("collector.ray_address=auto",),
+            "collector.ray_address must be null with collector.backend=direct, where the process of "
+            "the training collects, got auto: give collector.backend=ray.",
+        ),
+        (
             ("collector.backend=ray", "collector.num_workers=3"),
             "collector.num_workers must divide env.num_envs, 4, got 3.",
         ),
