@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -22,7 +23,7 @@ from tensordict import TensorDict
 from recipes.mo_ppo import mo_ppo
 from recipes.pd_morl import pd_morl
 from recipes.training import on_policy
-from recipes.training.cluster import join_cluster
+from recipes.training.cluster import _wait_for_cpus, join_cluster
 from recipes.training.ppo import NoiseScale, make_policy
 from recipes.training.task import make_worker_env
 from recipes.training.validation import ConfigurationError, check_surroundings
@@ -222,11 +223,54 @@ def test_a_busy_cluster_is_waited_for_and_then_named(collecting, monkeypatch):
     import ray
 
     monkeypatch.setattr("recipes.training.cluster.PATIENCE", 1.0)
-    monkeypatch.setattr(ray, "available_resources", lambda: {"CPU": 1.0})
+    monkeypatch.setattr(
+        ray._private.state, "available_resources_per_node", lambda: {"a": {"CPU": 1.0}}
+    )
     with pytest.raises(
-        ConnectionError, match=r"cluster is busy: 1 of its .* after 1 seconds, 2 wor"
+        ConnectionError, match=r"cluster is busy: its machines have 1 CPUs free after 1 seconds"
     ):
         iter(collecting()[0])
+
+
+def machines(totals: list[float], free: list[float]) -> SimpleNamespace:
+    """What Ray says of a cluster; a machine whose CPUs are all taken names none."""
+    left = {str(one): {"CPU": cpus} if cpus else {} for one, cpus in enumerate(free)}
+    return SimpleNamespace(
+        nodes=lambda: [{"Alive": True, "Resources": {"CPU": cpus}} for cpus in totals],
+        available_resources=lambda: {"CPU": sum(free)},
+        _private=SimpleNamespace(state=SimpleNamespace(available_resources_per_node=lambda: left)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("free", "workers", "cpus", "fits"),
+    [
+        ([4.0, 0.0], 1, 4, True),
+        ([2.0, 2.0], 1, 4, False),  # enough, but on no machine
+        ([3.0, 3.0], 2, 3, True),
+        ([3.0, 3.0], 3, 2, False),
+        ([4.0, 2.0], 3, 2, True),
+    ],
+)
+def test_a_worker_has_its_cpus_on_one_machine(free, workers, cpus, fits, monkeypatch):
+    monkeypatch.setattr("recipes.training.cluster.PATIENCE", 0.0)
+    ray = machines([4.0, 4.0], free)
+    if fits:
+        _wait_for_cpus(ray, workers, cpus)
+        return
+    with pytest.raises(ConnectionError) as busy:
+        _wait_for_cpus(ray, workers, cpus)
+    each = ", ".join(f"{one:.0f}" for one in free)
+    room = sum(int(one) // cpus for one in free)
+    assert str(busy.value) == (
+        f"the cluster is busy: its machines have {each} CPUs free after 0 seconds, room for {room} of "
+        f"collector.num_workers={workers} with collector.worker_cpus={cpus}."
+    )
+
+
+def test_machines_that_never_have_room_are_refused():
+    with pytest.raises(ValueError, match=r"num_workers=1 of .*worker_cpus=5 do not fit into"):
+        _wait_for_cpus(machines([4.0, 4.0], [4.0, 4.0]), 1, 5)
 
 
 def descendants(process: int) -> set[int]:
