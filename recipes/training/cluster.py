@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import signal
-import threading
 import time
 from collections.abc import Iterable, Mapping
 from types import ModuleType
 from unittest import mock
+
+from .stopping import stop_signals
 
 PATIENCE = 300.0
 """Seconds in which other programs must have left a cluster the CPUs that the workers reserve."""
@@ -45,7 +45,8 @@ def join_cluster(address: str | None, workers: int, cpus: int) -> bool:
             # Ray's workers are nice to everybody else: these are half of the training. And a cluster of
             # our own reports nothing to anybody.
             environment = {"RAY_worker_niceness": "0", "RAY_USAGE_STATS_ENABLED": "0"}
-        with _own_signals(), mock.patch.dict(os.environ, environment):
+        # Ray takes SIGTERM.
+        with stop_signals(), mock.patch.dict(os.environ, environment):
             try:
                 ray.init(log_to_driver=False, logging_level="error", **arguments)
             except Exception as error:
@@ -94,16 +95,3 @@ def _cpus(machines: Iterable[Mapping[str, float]]) -> list[int]:
 def _room(machines: list[int], cpus: int) -> int:
     """Workers that fit: each has its CPUs on one machine."""
     return sum(machine // cpus for machine in machines)
-
-
-class _own_signals:
-    """Ray takes SIGTERM: what was there before comes back."""
-
-    def __enter__(self) -> None:
-        self.before = {}
-        if threading.current_thread() is threading.main_thread():
-            self.before = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
-
-    def __exit__(self, *_: object) -> None:
-        for one, handler in self.before.items():
-            signal.signal(one, handler)
