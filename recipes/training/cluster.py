@@ -66,6 +66,8 @@ def join_cluster(address: str | None, workers: int, cpus: int) -> bool:
 def _wait_for_cpus(ray: ModuleType, workers: int, cpus: int) -> None:
     """Refuse a cluster that is too small, and wait for one that is busy: Ray says nothing of either."""
     machines = _cpus(one["Resources"] for one in ray.nodes() if one["Alive"])
+    if not machines:
+        raise ConnectionError("the cluster of Ray has no machine that answers: start it anew.")
     if _room(machines, cpus) < workers:
         raise ValueError(
             f"collector.num_workers={workers} of collector.worker_cpus={cpus} do not fit into the cluster, "
