@@ -93,6 +93,15 @@ class PeopleSampler:
         self._low, self._high = torch.tensor(ranges, dtype=torch.float64).T.contiguous()
         self._stand = [each[:2] == each[2:4] and each[4] == (0.0, 0.0) for each in people]
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PeopleSampler) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[float, ...]:
+        return self.num_people, self.num_boxes, *self._low.tolist(), *self._high.tolist()
+
     def __call__(self, n: int, robot_radius: float, generator: torch.Generator) -> TensorDict:
         """Scenes ``[n]``, see :class:`Scene`.
 
