@@ -294,7 +294,7 @@ class SceneSampler:
         scene = self._scenes(self._low[None])
         for problem in problems(scene, robot_radius, _SHORTEST_WAY, walks=self.walks):
             if problem.scenes().any():
-                raise ValueError(f"{self.where}: {problem.sentence_with_value(0, scene)}.")
+                raise ValueError(f"{self.where}: {problem.sentence_with_value(0)}.")
         if not solvable(scene, robot_radius, walks=self.walks).all():
             raise ValueError(
                 f"{self.where}: goal must have a way to it for a robot of radius "

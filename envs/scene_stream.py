@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -75,9 +75,9 @@ class SceneStream:
         self.repeat_failed = repeat_failed
         self.goal_radius = goal_radius
         self.robots = robots
-        if isinstance(scene.sample, SceneSampler | PeopleSampler):
-            # Before anything is trained or written. A function of the user's may keep a count.
-            scene.sample.check(robot_radius)
+        # Before anything is trained or written. A function of the user's may keep a count.
+        for described in _described(scene):
+            described.check(robot_radius)
         self._known_blocks: dict[bytes, tuple[dict[str, np.ndarray], Tensor]] = {}
         self.seed(0)
 
@@ -199,6 +199,15 @@ class SceneStream:
         way = (block["goal"] - block["start"][:, :2]).norm(dim=-1)
         among = dataclasses.replace(self.robots, radius=tuple(radii))
         return block | {"robot": among.draw(size, generator, slowest=way / _IN_TIME)}
+
+
+def _described(scene: Scene) -> Iterator[SceneSampler | PeopleSampler]:
+    """What files and mappings say, also within mixtures."""
+    if isinstance(scene.sample, Mixture):
+        for part in scene.sample.scenes:
+            yield from _described(part)
+    elif isinstance(scene.sample, SceneSampler | PeopleSampler):
+        yield scene.sample
 
 
 def _joined(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
