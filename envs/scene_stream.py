@@ -10,6 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrl_morl.arguments import is_number
+
+from .fields import shown
 from .layouts import Layout, Mixture
 from .people_files import PeopleSampler
 from .robot_ranges import RobotRanges
@@ -67,8 +70,8 @@ class SceneStream:
         goal_radius: float = 0.0,
         robots: RobotRanges | None = None,
     ) -> None:
-        if not 0.0 <= repeat_failed <= 1.0:
-            raise ValueError(f"repeat_failed must be between 0 and 1, got {repeat_failed}.")
+        if not (is_number(repeat_failed) and 0.0 <= repeat_failed <= 1.0):
+            raise ValueError(f"repeat_failed must be between 0 and 1, got {shown(repeat_failed)}.")
         self.scene = scene
         self.robot_radius = robot_radius
         self.num_envs = num_envs

@@ -13,7 +13,7 @@ from torchrl.envs.utils import check_env_specs
 from envs import SCENES, NavigationEnv, get_scene
 from envs.box_layouts import missing_boxes
 from envs.catalogue import MET
-from envs.layouts import mixture
+from envs.layouts import Layout, mixture
 from envs.people import FAR, absent
 from envs.scene_checks import checked
 
@@ -98,6 +98,23 @@ def test_everyday_has_everything():
 @pytest.mark.parametrize("name", ["everyday", "two_people", "nobody"])
 def test_specs(name):
     check_env_specs(NavigationEnv(scene=name, num_envs=2, num_threads=1, seed=0, num_rays=30))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Layout(()), "people must hold at least one, such as envs.people.nobody"),
+        (lambda: mixture("none", []), "mixture must name at least one scene"),
+        (
+            lambda: NavigationEnv(repeat_failed="x"),
+            "repeat_failed must be between 0 and 1, got 'x'",
+        ),
+    ],
+)
+def test_what_is_refused_in_python(make, message):
+    with pytest.raises(ValueError, match=message) as error:
+        make()
+    assert "\n" not in str(error.value)
 
 
 def test_every_scene_can_be_copied_and_pickled():
