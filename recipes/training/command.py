@@ -225,7 +225,10 @@ class _Command:
             self._check(multirun=multirun)
             if not self.was_empty:
                 # Before Hydra writes the configuration of what goes on.
-                self.held.enter_context(run_folder.held(self.run_dir))
+                try:
+                    self.held.enter_context(run_folder.held(self.run_dir))
+                except ValueError as error:
+                    raise ConfigurationError(str(error)) from error
         options = _options(args)
         argv = [sys.argv[0], *options, *_QUIET, *self.overrides]
         task = hydra.main(
