@@ -10,6 +10,48 @@ from .lidar import compiled
 
 
 @compiled
+def _squared_box_gap(x, y, cos, sin, half_length, half_width):
+    """Squared distance from a robot's centre to a box at (x, y) from it, zero inside."""
+    along = max(abs(cos * x + sin * y) - half_length, 0.0)
+    across = max(abs(cos * y - sin * x) - half_width, 0.0)
+    return along * along + across * across
+
+
+@compiled
+def _nearest(x, y, points, row, cos, sin, boxes, people):
+    """Distances of a centre at (x, y) to the nearest person's centre and the nearest box."""
+    person = box = math.inf
+    for item in range(people):
+        dx, dy = points[0, 1 + item, row] - x, points[1, 1 + item, row] - y
+        person = min(person, dx * dx + dy * dy)
+    for item in range(boxes.shape[1]):
+        dx, dy = points[0, 1 + people + item, row] - x, points[1, 1 + people + item, row] - y
+        c, s = cos[item, row], sin[item, row]
+        gap = _squared_box_gap(dx, dy, c, s, boxes[row, item, 3], boxes[row, item, 4])
+        box = min(box, gap)
+    return math.sqrt(person), math.sqrt(box)
+
+
+@compiled
+def box_gaps(way, cos, sin, boxes):
+    """Distances of robots' centres to the nearest box, ``[N]``, metres: zero inside, ``inf`` without boxes.
+
+    Args:
+        way: from the robots to the boxes' centres, ``[2, B, N]``, metres.
+        cos: of the boxes' headings, ``[B, N]``.
+        sin: of them, ``[B, N]``.
+        boxes: ``[N, B, 5]``.
+    """
+    out = np.full(len(boxes), math.inf)
+    for row in range(len(boxes)):
+        for item in range(boxes.shape[1]):
+            x, y, c, s = way[0, item, row], way[1, item, row], cos[item, row], sin[item, row]
+            gap = _squared_box_gap(x, y, c, s, boxes[row, item, 3], boxes[row, item, 4])
+            out[row] = min(out[row], gap)
+    return np.sqrt(out)
+
+
+@compiled
 def gaps(points, position, rows, cos, sin, boxes, people):
     """Distances of robots' centres to the nearest person's centre and the nearest box, ``[2, n]``, metres.
 
@@ -22,20 +64,11 @@ def gaps(points, position, rows, cos, sin, boxes, people):
         boxes: ``[N, B, 5]``.
         people: ``P``.
     """
-    out = np.full((2, len(rows)), math.inf)
+    out = np.empty((2, len(rows)))
     for robot in range(len(rows)):
-        row = rows[robot]
-        for item in range(people):
-            x = points[0, 1 + item, row] - position[robot, 0]
-            y = points[1, 1 + item, row] - position[robot, 1]
-            out[0, robot] = min(out[0, robot], math.sqrt(x * x + y * y))
-        for item in range(boxes.shape[1]):
-            x = points[0, 1 + people + item, row] - position[robot, 0]
-            y = points[1, 1 + people + item, row] - position[robot, 1]
-            c, s = cos[item, row], sin[item, row]
-            along = max(abs(c * x + s * y) - boxes[row, item, 3], 0.0)
-            across = max(abs(c * y - s * x) - boxes[row, item, 4], 0.0)
-            out[1, robot] = min(out[1, robot], math.sqrt(along * along + across * across))
+        x, y = position[robot, 0], position[robot, 1]
+        near = _nearest(x, y, points, rows[robot], cos, sin, boxes, people)
+        out[0, robot], out[1, robot] = near
     return out
 
 
@@ -56,19 +89,9 @@ def near_rows(points, position, cos, sin, boxes, people, human_radius, hull):
     found = np.empty(len(position), np.int64)
     count = 0
     for row in range(len(position)):
-        reach, near = hull[row], False
-        for item in range(people):
-            x = points[0, 1 + item, row] - position[row, 0]
-            y = points[1, 1 + item, row] - position[row, 1]
-            near |= x * x + y * y <= (reach + human_radius) ** 2
-        for item in range(boxes.shape[1]):
-            x = points[0, 1 + people + item, row] - position[row, 0]
-            y = points[1, 1 + people + item, row] - position[row, 1]
-            c, s = cos[item, row], sin[item, row]
-            along = max(abs(c * x + s * y) - boxes[row, item, 3], 0.0)
-            across = max(abs(c * y - s * x) - boxes[row, item, 4], 0.0)
-            near |= along * along + across * across <= reach * reach
-        if near:
+        x, y = position[row, 0], position[row, 1]
+        person, box = _nearest(x, y, points, row, cos, sin, boxes, people)
+        if person <= hull[row] + human_radius or box <= hull[row]:
             found[count] = row
             count += 1
     return found[:count]

@@ -36,6 +36,9 @@ class Layout:
         way: distance from start to goal, metres.
         heading: of the robot at the start, radians.
         start_beside: how far the start lies beside the origin, metres.
+
+    Raises:
+        ValueError: without people; :func:`envs.people.nobody` is one who is not there.
     """
 
     people: tuple[Person, ...] = (standing,)
@@ -43,6 +46,10 @@ class Layout:
     way: Draw = (6.0, 12.0)
     heading: Draw = (-math.pi, math.pi)
     start_beside: Draw = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not self.people:
+            raise ValueError("people must hold at least one, such as envs.people.nobody, got ().")
 
     @property
     def furthest_goal(self) -> float:
@@ -161,7 +168,7 @@ def mixture(name: str, weights: Sequence[tuple[Scene, float]]) -> Scene:
         >>> both.sample(8, 0.177, torch.Generator().manual_seed(0))["people"].shape
         torch.Size([8, 1, 7])
     """
-    sample = Mixture(*(tuple(column) for column in zip(*weights)))
+    sample = Mixture(tuple(one for one, _ in weights), tuple(weight for _, weight in weights))
     fastest = max(scene.human_speed for scene in sample.scenes)
     return Scene(name, sample.num_boxes, sample, fastest, sample.num_people)
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .contacts import gaps, near_rows
+from .contacts import box_gaps, gaps, near_rows
 from .fields import shown
 from .geometry import cos_sin, norm
 from .objectives import OBJECTIVES, RewardConstants
@@ -181,9 +181,8 @@ class NavigationTask:
     def end(self) -> np.ndarray:
         """Which episodes end, ``[N, 1]``, once the robots are located; :attr:`flags` says why."""
         goal, human = self.distance
-        squared = self._squared_box_distance()
         hit_human = human <= self.robot_radius + HUMAN_RADIUS
-        hit_box = (squared <= self.robot_radius**2).any(0)
+        hit_box = self._box_distance() <= self.robot_radius
         if self._touched.any():
             hit_human |= self._touched[:, 0]
             hit_box |= self._touched[:, 1]
@@ -228,20 +227,14 @@ class NavigationTask:
         radius = self.robot_radius
         return radius[rows] if isinstance(radius, np.ndarray) else radius
 
-    def _squared_box_distance(self) -> np.ndarray:
-        """From the robots' centres to the boxes, ``[B, N]``, zero inside."""
-        x, y = self.way[:, self._first_box :]
-        cos, sin = self._box_cos, self._box_sin
-        half_length, half_width = self.boxes[..., 3].T, self.boxes[..., 4].T
-        # From the robot to the nearest point of the box, in the frame of the box.
-        along = np.maximum(abs(cos * x + sin * y) - half_length, 0.0)
-        across = np.maximum(abs(cos * y - sin * x) - half_width, 0.0)
-        return along * along + across * across
+    def _box_distance(self) -> np.ndarray:
+        """From the robots' centres to the nearest box, ``[N]``, metres: zero inside, ``inf`` without boxes."""
+        way = self.way[:, self._first_box :]
+        return box_gaps(way, self._box_cos, self._box_sin, self.boxes)
 
     def clearance(self) -> np.ndarray:
         """From the robots' hulls to the nearest box, ``[N]``, metres; ``inf`` without boxes."""
-        squared = self._squared_box_distance().min(0, initial=np.inf)
-        return np.maximum(np.sqrt(squared) - self.robot_radius, 0.0)
+        return np.maximum(self._box_distance() - self.robot_radius, 0.0)
 
     def reward(self, before: np.ndarray) -> np.ndarray:
         """An entry per objective ``[N, K]`` for robots that were at ``before`` [N, 2].

@@ -8,8 +8,10 @@ positive x axis.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -23,6 +25,23 @@ FAR = 1000.0
 Draw = tuple[float, float]
 Person = Callable[[Tensor, torch.Generator], Tensor]
 """``person(way [n], generator)`` draws people ``[n, 7]`` for goals that are ``way`` metres away."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """A function whose last arguments are given. A closure could be neither pickled nor compared.
+
+    Args:
+        function: of a module.
+        last: its last arguments.
+    """
+
+    function: Callable[..., Tensor]
+    last: tuple[Any, ...] = ()
+
+    def __call__(self, *first: Any) -> Tensor:
+        return self.function(*first, *self.last)
+
 
 # What the robot of the paper drives: who crosses its way is timed to meet it.
 _NOMINAL_SPEED = 0.5
@@ -69,95 +88,95 @@ def standing(way: Tensor, generator: torch.Generator) -> Tensor:
 
 def towards(speed: Draw) -> Person:
     """Somebody walks from beyond the goal to behind the start, m/s."""
+    return Bound(_towards, (speed,))
 
-    def draw(way: Tensor, generator: torch.Generator) -> Tensor:
-        n = len(way)
-        y = uniform((n,), (-0.5, 0.5), generator)
-        x = way + uniform((n,), (0.0, 2.0), generator)
-        end = -uniform((n,), (1.0, 3.0), generator)
-        return person((x, y), (end, y), uniform((n,), speed, generator), torch.zeros_like(x))
 
-    return draw
+def _towards(way: Tensor, generator: torch.Generator, speed: Draw) -> Tensor:
+    n = len(way)
+    y = uniform((n,), (-0.5, 0.5), generator)
+    x = way + uniform((n,), (0.0, 2.0), generator)
+    end = -uniform((n,), (1.0, 3.0), generator)
+    return person((x, y), (end, y), uniform((n,), speed, generator), torch.zeros_like(x))
 
 
 def crossing(speed: Draw) -> Person:
     """Somebody crosses the way, from the left or the right, about when the robot gets there, m/s."""
+    return Bound(_crossing, (speed,))
 
-    def draw(way: Tensor, generator: torch.Generator) -> Tensor:
-        n = len(way)
-        side = torch.where(uniform((n,), (-1.0, 1.0), generator) < 0, -1.0, 1.0)
-        middle = way * uniform((n,), (0.25, 0.75), generator)
-        pace = uniform((n,), speed, generator)
-        meets = (middle / _NOMINAL_SPEED + uniform((n,), (-2.0, 2.0), generator)).clamp_min(2.0)
-        away = (pace * meets).clamp(1.5, 6.0)
-        sets_out = (meets - away / pace).clamp_min(0.0)
-        slant = uniform((2, n), (-1.0, 1.0), generator)
-        beyond = uniform((n,), (2.0, 4.0), generator)
-        place, goal = (middle + slant[0], side * away), (middle + slant[1], -side * beyond)
-        return person(place, goal, pace, sets_out)
 
-    return draw
+def _crossing(way: Tensor, generator: torch.Generator, speed: Draw) -> Tensor:
+    n = len(way)
+    side = torch.where(uniform((n,), (-1.0, 1.0), generator) < 0, -1.0, 1.0)
+    middle = way * uniform((n,), (0.25, 0.75), generator)
+    pace = uniform((n,), speed, generator)
+    meets = (middle / _NOMINAL_SPEED + uniform((n,), (-2.0, 2.0), generator)).clamp_min(2.0)
+    away = (pace * meets).clamp(1.5, 6.0)
+    sets_out = (meets - away / pace).clamp_min(0.0)
+    slant = uniform((2, n), (-1.0, 1.0), generator)
+    beyond = uniform((n,), (2.0, 4.0), generator)
+    place, goal = (middle + slant[0], side * away), (middle + slant[1], -side * beyond)
+    return person(place, goal, pace, sets_out)
 
 
 def ahead(speed: Draw) -> Person:
     """Somebody walks ahead of the robot in its direction, m/s."""
+    return Bound(_ahead, (speed,))
 
-    def draw(way: Tensor, generator: torch.Generator) -> Tensor:
-        n = len(way)
-        x = uniform((n,), (1.2, 2.5), generator)
-        y = uniform((n,), (-0.4, 0.4), generator)
-        # They leave the way before the goal, on either side.
-        side = torch.where(uniform((n,), (-1.0, 1.0), generator) < 0, -1.0, 1.0)
-        aside = side * uniform((n,), (1.0, 2.0), generator)
-        end = way * uniform((n,), (0.6, 1.0), generator)
-        return person((x, y), (end, aside), uniform((n,), speed, generator), torch.zeros_like(x))
 
-    return draw
+def _ahead(way: Tensor, generator: torch.Generator, speed: Draw) -> Tensor:
+    n = len(way)
+    x = uniform((n,), (1.2, 2.5), generator)
+    y = uniform((n,), (-0.4, 0.4), generator)
+    # They leave the way before the goal, on either side.
+    side = torch.where(uniform((n,), (-1.0, 1.0), generator) < 0, -1.0, 1.0)
+    aside = side * uniform((n,), (1.0, 2.0), generator)
+    end = way * uniform((n,), (0.6, 1.0), generator)
+    return person((x, y), (end, aside), uniform((n,), speed, generator), torch.zeros_like(x))
 
 
 def overtaking(speed: Draw) -> Person:
     """Somebody comes from behind and goes the robot's way, m/s."""
+    return Bound(_overtaking, (speed,))
 
-    def draw(way: Tensor, generator: torch.Generator) -> Tensor:
-        n = len(way)
-        pace = uniform((n,), speed, generator)
-        # So far behind that a robot that has to turn first gets out of the way.
-        x = -(_GETS_AWAY * pace + uniform((n,), (0.7, 2.0), generator))
-        y = uniform((n,), (-0.6, 0.6), generator)
-        # They pass the goal on either side.
-        side = torch.where(uniform((n,), (-1.0, 1.0), generator) < 0, -1.0, 1.0)
-        aside = side * uniform((n,), (1.0, 2.0), generator)
-        end = way + uniform((n,), (1.0, 3.0), generator)
-        return person((x, y), (end, aside), pace, torch.zeros_like(x))
 
-    return draw
+def _overtaking(way: Tensor, generator: torch.Generator, speed: Draw) -> Tensor:
+    n = len(way)
+    pace = uniform((n,), speed, generator)
+    # So far behind that a robot that has to turn first gets out of the way.
+    x = -(_GETS_AWAY * pace + uniform((n,), (0.7, 2.0), generator))
+    y = uniform((n,), (-0.6, 0.6), generator)
+    # They pass the goal on either side.
+    side = torch.where(uniform((n,), (-1.0, 1.0), generator) < 0, -1.0, 1.0)
+    aside = side * uniform((n,), (1.0, 2.0), generator)
+    end = way + uniform((n,), (1.0, 3.0), generator)
+    return person((x, y), (end, aside), pace, torch.zeros_like(x))
 
 
 def standing_up(speed: Draw) -> Person:
     """Somebody stands near the way, sets out after a while and walks off in any direction, m/s."""
+    return Bound(_standing_up, (speed,))
 
-    def draw(way: Tensor, generator: torch.Generator) -> Tensor:
-        n = len(way)
-        x = way * uniform((n,), (0.3, 0.7), generator)
-        y = uniform((n,), (-1.0, 1.0), generator)
-        direction = uniform((n,), (-math.pi, math.pi), generator)
-        length = uniform((n,), (3.0, 5.0), generator)
-        goal = x + length * direction.cos(), y + length * direction.sin()
-        sets_out = uniform((n,), (2.0, 12.0), generator)
-        return person((x, y), goal, uniform((n,), speed, generator), sets_out)
 
-    return draw
+def _standing_up(way: Tensor, generator: torch.Generator, speed: Draw) -> Tensor:
+    n = len(way)
+    x = way * uniform((n,), (0.3, 0.7), generator)
+    y = uniform((n,), (-1.0, 1.0), generator)
+    direction = uniform((n,), (-math.pi, math.pi), generator)
+    length = uniform((n,), (3.0, 5.0), generator)
+    goal = x + length * direction.cos(), y + length * direction.sin()
+    sets_out = uniform((n,), (2.0, 12.0), generator)
+    return person((x, y), goal, uniform((n,), speed, generator), sets_out)
 
 
 def any_of(*people: Person) -> Person:
     """One of several, drawn evenly in each scene."""
+    return Bound(_any_of, people)
 
-    def draw(way: Tensor, generator: torch.Generator) -> Tensor:
-        rows = torch.stack([one(way, generator) for one in people])
-        which = torch.randint(len(people), (len(way),), generator=generator)
-        return rows[which, torch.arange(len(way))]
 
-    return draw
+def _any_of(way: Tensor, generator: torch.Generator, *people: Person) -> Tensor:
+    rows = torch.stack([one(way, generator) for one in people])
+    which = torch.randint(len(people), (len(way),), generator=generator)
+    return rows[which, torch.arange(len(way))]
 
 
 def place_at(people: Tensor, time: Tensor | float) -> Tensor:

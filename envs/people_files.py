@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import torch
 from tensordict import TensorDict
@@ -12,9 +12,9 @@ from torch import Tensor
 from torchrl_morl.arguments import is_number
 
 from .encounters import solvable_among_people
-from .fields import Fields, is_list, number_hint
+from .fields import Fields, is_list, number_hint, shown
 from .people import nobody, person
-from .scene_checks import problems_of_people
+from .scene_checks import Problem, problems_of_company, problems_of_people
 from .scene_numbers import FASTEST, METRES, RADIANS, Range, read_boxes, read_numbers
 from .scenes import Scene
 
@@ -53,14 +53,23 @@ def _person(fields: Fields, index: int, given: object) -> list[Range]:
         raise fields.refusal(at, "fields {at, goal, speed, sets_out}", given)
     fields.refuse_unknown(given, _PERSON_FIELDS, f" of {at}")
     place = read_numbers(fields, "at", ("x", "y"), (METRES, METRES), given, at)
-    speed = _amount(fields, f"{at}.speed", given.get("speed", 0.0), FASTEST, "m/s")
+    pace = given.get("speed", 0.0)
+    speed = _amount(fields, f"{at}.speed", pace, FASTEST, "m/s")
     sets_out = _amount(fields, f"{at}.sets_out", given.get("sets_out", 0.0), _LATEST, "seconds")
-    if ("goal" in given) != (speed[1] > 0):
-        raise ValueError(f"{fields.where}: {at} needs both goal and speed to walk, or neither.")
-    goal = place
     if "goal" in given:
+        if not speed[1]:
+            raise fields.refusal(f"{at}.speed", "above 0 for who has a goal", pace)
         goal = read_numbers(fields, "goal", ("x", "y"), (METRES, METRES), given, at)
-    return [*place, *goal, speed, sets_out]
+        return [*place, *goal, speed, sets_out]
+    if speed[1]:
+        raise ValueError(
+            f"{fields.where}: {at}.goal is missing, where who has a speed of {shown(pace)} m/s walks to: [x, y]."
+        )
+    if sets_out[1]:
+        raise ValueError(
+            f"{fields.where}: {at}.sets_out needs a goal to walk to, got {shown(given['sets_out'])}."
+        )
+    return [*place, *place, speed, sets_out]
 
 
 def _amount(fields: Fields, title: str, value: object, most: float, unit: str) -> Range:
@@ -73,6 +82,11 @@ def _amount(fields: Fields, title: str, value: object, most: float, unit: str) -
         allowed = f"a number of {unit} from 0 to {most:g}, or a range [low, high] of two"
         raise fields.refusal(title, allowed, value, number_hint(value))
     return float(ends[0]), float(ends[1])
+
+
+def _problems(scenes: TensorDict, robot_radius: float) -> Iterator[Problem]:
+    yield from problems_of_people(scenes, robot_radius, _SHORTEST_WAY)
+    yield from problems_of_company(scenes["people"])
 
 
 class PeopleSampler:
@@ -93,12 +107,24 @@ class PeopleSampler:
         self._low, self._high = torch.tensor(ranges, dtype=torch.float64).T.contiguous()
         self._stand = [each[:2] == each[2:4] and each[4] == (0.0, 0.0) for each in people]
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PeopleSampler) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple[float, ...]:
+        return self.num_people, self.num_boxes, *self._low.tolist(), *self._high.tolist()
+
     def __call__(self, n: int, robot_radius: float, generator: torch.Generator) -> TensorDict:
         """Scenes ``[n]``, see :class:`Scene`.
 
         Raises:
-            ValueError: if none is found.
+            ValueError: if the fixed scene is not valid, or none is found.
         """
+        if bool((self._low == self._high).all()):
+            self._check_fixed(robot_radius)
+            return self._scenes(self._low.expand(n, -1))
         kept: list[TensorDict] = []
         missing, reasons = n, Counter[str]()
         for _ in range(_MAX_ROUNDS):
@@ -106,11 +132,11 @@ class PeopleSampler:
             share = torch.rand(shape, generator=generator, dtype=torch.float64)
             drawn = self._scenes(self._low + (self._high - self._low) * share)
             valid = torch.ones(len(drawn), dtype=torch.bool)
-            for problem in problems_of_people(drawn, robot_radius, _SHORTEST_WAY):
+            for problem in _problems(drawn, robot_radius):
                 bad = problem.scenes()
                 if bad.any():
                     row = int(bad.to(torch.uint8).argmax())
-                    reasons[problem.sentence_with_value(row, drawn)] += int((bad & valid).sum())
+                    reasons[problem.sentence(row)] += int((bad & valid).sum())
                     valid &= ~bad
             drawn = drawn[valid][:missing]
             solved = solvable_among_people(drawn, robot_radius)
@@ -121,7 +147,7 @@ class PeopleSampler:
             missing -= int(solved.sum())
             if not missing:
                 return torch.cat(kept)
-            if not kept or (not sum(map(len, kept)) and len(kept) >= 8):
+            if missing == n and len(kept) >= 8:
                 break
         raise ValueError(
             f"{self.where}: no scene found for a robot of radius {robot_radius:g} m, after many "
@@ -135,6 +161,17 @@ class PeopleSampler:
             ValueError: as in a call.
         """
         self(1, robot_radius, torch.Generator().manual_seed(0))
+
+    def _check_fixed(self, robot_radius: float) -> None:
+        scene = self._scenes(self._low[None])
+        for problem in _problems(scene, robot_radius):
+            if problem.scenes().any():
+                raise ValueError(f"{self.where}: {problem.sentence_with_value(0)}.")
+        if not solvable_among_people(scene, robot_radius).all():
+            raise ValueError(
+                f"{self.where}: goal must have a way to it for a robot of radius {robot_radius:g} m "
+                f"that is safe from people who walk, got {scene['goal'][0].tolist()}."
+            )
 
     def _scenes(self, numbers: Tensor) -> TensorDict:
         start, goal, people, boxes = numbers.split(

@@ -68,10 +68,10 @@ def contract(arguments: Mapping[str, Any]) -> dict[str, Any]:
         (0.15, 0.0)
     """
     robot = get_robots(arguments.get("robot", "turtlebot2"))
-    speed, turn = largest(robot).max_speed, largest(robot).max_turn_rate
+    fastest = largest(robot)
     return {
         "sensing": sensing(arguments),
-        "limits": Limits((0.0, speed), (-turn, turn)),
+        "limits": Limits.of_robot(fastest.max_speed, fastest.max_turn_rate),
         "period": NavigationEnv.CONTROL_PERIOD,
         "robot": robot.name,
     }

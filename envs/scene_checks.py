@@ -35,9 +35,11 @@ class Problem(NamedTuple):
 
     field: str
     reason: str
-    """What it must be instead; ``{box}`` stands for the number of a box."""
+    """What it must be instead; ``{index}`` stands for the number of the box or the person."""
     where: Tensor
-    """Which scenes have it, bool ``[n]``, or which of their boxes, ``[n, B]``."""
+    """Which scenes have it, bool ``[n]``, or which of their boxes or people, ``[n, B]``."""
+    values: Tensor
+    """What the field is, ``[n, ...]``, or ``[n, B, ...]`` of a field with a number in its name."""
 
     def scenes(self) -> Tensor:
         """Which scenes have it, ``[n]``."""
@@ -45,16 +47,16 @@ class Problem(NamedTuple):
 
     def sentence(self, row: int) -> str:
         """Field and reason in the scene ``row``, which has it."""
-        return f"{self.field} {self.reason}".format(box=self._box(row))
+        return f"{self.field} {self.reason}".format(index=self._index(row))
 
-    def sentence_with_value(self, row: int, scenes: Mapping[str, Tensor] | TensorDictBase) -> str:
+    def sentence_with_value(self, row: int) -> str:
         """The same, and what the field is there."""
-        of_box = self.field.startswith("boxes")
-        value = scenes["boxes"][row, self._box(row)] if of_box else scenes[self.field][row]
-        numbers = value.flatten().tolist()
-        return f"{self.sentence(row)}, got {[round(number, 3) for number in numbers]}"
+        value = self.values[row]
+        if "{index}" in self.field:
+            value = value[self._index(row)]
+        return f"{self.sentence(row)}, got {[round(one, 3) for one in value.flatten().tolist()]}"
 
-    def _box(self, row: int) -> int:
+    def _index(self, row: int) -> int:
         return int(self.where[row].to(torch.uint8).argmax()) if self.where.ndim > 1 else 0
 
 
@@ -95,7 +97,7 @@ def checked(scenes: TensorDictBase, scene: Scene, n: int, robot_radius: float, g
         bad = problem.scenes()
         if bad.any():
             row = int(bad.to(torch.uint8).argmax())
-            sentence = problem.sentence_with_value(row, fields)
+            sentence = problem.sentence_with_value(row)
             raise ValueError(f"Scene {scene.name!r}, scene {row} of {n}: {sentence}.")
     return fields
 
@@ -120,15 +122,29 @@ def problems_of_people(
         shortest_way: what is too short from start to goal, metres.
     """
     people = scenes["people"]
-    yield Problem("people", "must be finite", ~people.isfinite().flatten(1).all(-1))
+    yield Problem("people", "must be finite", ~people.isfinite().flatten(1).all(-1), people)
     timing = people[..., 5:]
-    yield Problem(
-        "people", "must have a speed and a time of 0 or more", (timing < 0).flatten(1).any(-1)
-    )
-    for one in people.unbind(1):
+    negative = (timing < 0).flatten(1).any(-1)
+    yield Problem("people", "must have a speed and a time of 0 or more", negative, people)
+    for index, one in enumerate(people.unbind(1)):
         each = {name: scenes[name] for name in ("start", "goal", "boxes")}
         each |= {"human": one[:, :3], "human_goal": one[:, 3:5]}
-        yield from problems(each, robot_radius, shortest_way, walks=True)
+        name = f"people[{index}]"
+        yield from problems(each, robot_radius, shortest_way, walks=True, name=name)
+
+
+def problems_of_company(people: Tensor) -> Iterator[Problem]:
+    """People who stand in each other at the start; on their ways they may meet.
+
+    Args:
+        people: ``[n, P, 7]``.
+    """
+    apart = 2 * HUMAN_RADIUS
+    for index in range(1, people.shape[1]):
+        place = people[:, index, :2]
+        near = (people[:, :index, :2] - place[:, None]).norm(dim=-1) <= apart
+        reason = f"must be farther from people[{{index}}] than both radii, {apart:g} m"
+        yield Problem(f"people[{index}]", reason, near, place)
 
 
 def _check_tensor(name: str, value: Any, shape: tuple[int, ...], num_boxes: int) -> None:
@@ -149,6 +165,7 @@ def problems(
     shortest_way: float,
     *,
     walks: bool,
+    name: str = "human",
 ) -> Iterator[Problem]:
     """Everything that can be wrong with the numbers of scenes.
 
@@ -159,51 +176,45 @@ def problems(
 
     Keyword Args:
         walks: whether humans walk to their goals.
+        name: what messages call the human.
     """
-    for field in ("start", "goal", "human", "human_goal"):
-        yield Problem(field, "must be finite", ~scenes[field].isfinite().all(-1))
+    human_goal = "human_goal" if name == "human" else f"{name}.goal"
+    fields = {"start": "start", "goal": "goal", name: "human", human_goal: "human_goal"}
+    for title, field in fields.items():
+        value = scenes[field]
+        yield Problem(title, "must be finite", ~value.isfinite().all(-1), value)
     boxes = scenes["boxes"]
-    yield Problem("boxes[{box}]", "must be finite", ~boxes.isfinite().all(-1))
-    yield Problem("boxes[{box}]", "must have a size above 0", ~(boxes[..., 3:] > 0).all(-1))
+    yield Problem("boxes[{index}]", "must be finite", ~boxes.isfinite().all(-1), boxes)
+    no_size = ~(boxes[..., 3:] > 0).all(-1)
+    yield Problem("boxes[{index}]", "must have a size above 0", no_size, boxes)
     start, goal, human = scenes["start"][:, :2], scenes["goal"], scenes["human"][:, :2]
     way = (goal - start).norm(dim=-1)
-    yield Problem(
-        "goal",
-        f"must be more than {shortest_way:g} m away from the start",
-        way <= shortest_way,
-    )
+    far = f"must be more than {shortest_way:g} m away from the start"
+    yield Problem("goal", far, way <= shortest_way, goal)
     places = torch.stack((start, goal, human), dim=1)
     gaps = point_box_distance(places[:, :, None], boxes[:, None])
-    robot = f"the robot's radius of {robot_radius:g} m"
+    beside = f"must be farther from boxes[{{index}}] than the robot's radius of {robot_radius:g} m"
+    yield Problem("start", beside, gaps[:, 0] <= robot_radius, scenes["start"])
+    yield Problem("goal", beside, gaps[:, 1] <= robot_radius, goal)
     yield Problem(
-        "start", f"must be farther from boxes[{{box}}] than {robot}", gaps[:, 0] <= robot_radius
-    )
-    yield Problem(
-        "goal", f"must be farther from boxes[{{box}}] than {robot}", gaps[:, 1] <= robot_radius
-    )
-    yield Problem(
-        "human",
-        f"must be farther from boxes[{{box}}] than the human's radius of {HUMAN_RADIUS:g} m",
+        name,
+        f"must be farther from boxes[{{index}}] than the human's radius of {HUMAN_RADIUS:g} m",
         gaps[:, 2] <= HUMAN_RADIUS,
+        scenes["human"] if name == "human" else human,
     )
     apart = robot_radius + HUMAN_RADIUS
-    yield Problem(
-        "start",
-        f"must be farther from the human than both radii, {apart:g} m",
-        (start - human).norm(dim=-1) <= apart,
-    )
+    somebody = "the human" if name == "human" else name
+    alone = f"must be farther from {somebody} than both radii, {apart:g} m"
+    yield Problem("start", alone, (start - human).norm(dim=-1) <= apart, scenes["start"])
     stays = _stays(scenes, walks=walks)
-    yield Problem(
-        "goal",
-        f"must be farther from the human than both radii, {apart:g} m",
-        stays & ((goal - human).norm(dim=-1) <= apart),
-    )
+    yield Problem("goal", alone, stays & ((goal - human).norm(dim=-1) <= apart), goal)
     walk = human[:, None], scenes["human_goal"][:, None], boxes
     if walks and _may_come_near(*walk, HUMAN_RADIUS).any():
         yield Problem(
-            "human_goal",
-            f"must be reached on a line that keeps {HUMAN_RADIUS:g} m from boxes[{{box}}]",
+            human_goal,
+            f"must be reached on a line that keeps {HUMAN_RADIUS:g} m from boxes[{{index}}]",
             segment_box_distance(*walk) <= HUMAN_RADIUS,
+            scenes["human_goal"],
         )
 
 

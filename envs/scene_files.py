@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrl_morl.arguments import is_number
 
 from .catalogue import SCENES
-from .fields import Fields, is_description, is_list, number_hint, shown
+from .fields import Fields, is_description, is_list, number_hint, portable, shown
 from .layouts import mixture
 from .people_files import scene_with_people
 from .scene_checks import problems, solvable
@@ -32,6 +32,7 @@ _FIELDS = (
     "boxes",
     "mixture",
 )
+_ENTRY_FIELDS = ("weight", "scene")
 
 _CANDIDATES = 16
 _MAX_ROUNDS = 200
@@ -129,18 +130,59 @@ def _mixture(fields: Fields, within: tuple[Path, ...]) -> Scene:
     if not isinstance(weights, Mapping) or not weights:
         raise fields.refusal("mixture", "names of scenes or .yaml files with weights", weights)
     scenes = []
-    for name, weight in weights.items():
+    for name, given in weights.items():
+        at = f"mixture.{name}"
+        source, weight = name, given
+        if isinstance(given, Mapping):
+            fields.refuse_unknown(given, _ENTRY_FIELDS, f" of {at}")
+            source, weight, at = given.get("scene", name), given.get("weight"), f"{at}.weight"
         if not (is_number(weight) and weight > 0):
-            raise fields.refusal(f"mixture.{name}", "a weight above 0", weight, number_hint(weight))
+            raise fields.refusal(at, "a weight above 0", weight, number_hint(weight))
         try:
-            if not is_description(name):
-                scene = get_scene(name)
+            if not is_description(source):
+                scene = get_scene(source)
+            elif isinstance(source, Mapping):
+                scene = _scene_from({"name": str(name), **source}, within)
             else:
-                scene = _scene_from(within[-1].parent / name if within else name, within)
+                scene = _scene_from(within[-1].parent / source if within else source, within)
             scenes.append((scene, float(weight)))
         except (OSError, ValueError) as error:
             raise ValueError(f"{fields.where}: mixture: {error}") from error
     return mixture(fields.name, scenes)
+
+
+def portable_scene(source: Any) -> Any:
+    """What a card can keep of a scene: the fields of a file, also of those that a mixture names.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: for a file that is not YAML, or a mixture of itself.
+
+    Examples:
+        >>> portable_scene({"mixture": {"static": 3}})
+        {'mixture': {'static': 3}}
+    """
+    return _portable(source, Path(), ())
+
+
+def _portable(source: Any, folder: Path, within: tuple[Path, ...]) -> Any:
+    """The same of what stands in a file of that folder, which stands in the mixtures of others."""
+    if not is_description(source):
+        return source
+    if not isinstance(source, Mapping):
+        file = (folder / source).resolve()
+        if file in within:
+            raise ValueError(f"{source} is a mixture of itself: leave it out.")
+        source, folder, within = portable(file), file.parent, (*within, file)
+    parts = source.get("mixture")
+    if not isinstance(parts, Mapping):
+        return source
+    kept = {}
+    for name, given in parts.items():
+        entry = given if isinstance(given, Mapping) else {"weight": given}
+        part = _portable(entry.get("scene", name), folder, within)
+        kept[name] = {**entry, "scene": part} if isinstance(part, Mapping) else given
+    return {**source, "mixture": kept}
 
 
 def _human(fields: Fields) -> tuple[list[Range], Range | None]:
@@ -252,7 +294,7 @@ class SceneSampler:
         scene = self._scenes(self._low[None])
         for problem in problems(scene, robot_radius, _SHORTEST_WAY, walks=self.walks):
             if problem.scenes().any():
-                raise ValueError(f"{self.where}: {problem.sentence_with_value(0, scene)}.")
+                raise ValueError(f"{self.where}: {problem.sentence_with_value(0)}.")
         if not solvable(scene, robot_radius, walks=self.walks).all():
             raise ValueError(
                 f"{self.where}: goal must have a way to it for a robot of radius "

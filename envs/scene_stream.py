@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from torchrl_morl.arguments import is_number
+
+from .fields import shown
 from .layouts import Layout, Mixture
 from .people_files import PeopleSampler
 from .robot_ranges import RobotRanges
@@ -67,17 +70,17 @@ class SceneStream:
         goal_radius: float = 0.0,
         robots: RobotRanges | None = None,
     ) -> None:
-        if not 0.0 <= repeat_failed <= 1.0:
-            raise ValueError(f"repeat_failed must be between 0 and 1, got {repeat_failed}.")
+        if not (is_number(repeat_failed) and 0.0 <= repeat_failed <= 1.0):
+            raise ValueError(f"repeat_failed must be between 0 and 1, got {shown(repeat_failed)}.")
         self.scene = scene
         self.robot_radius = robot_radius
         self.num_envs = num_envs
         self.repeat_failed = repeat_failed
         self.goal_radius = goal_radius
         self.robots = robots
-        if isinstance(scene.sample, SceneSampler | PeopleSampler):
-            # Before anything is trained or written. A function of the user's may keep a count.
-            scene.sample.check(robot_radius)
+        # Before anything is trained or written. A function of the user's may keep a count.
+        for described in _described(scene):
+            described.check(robot_radius)
         self._known_blocks: dict[bytes, tuple[dict[str, np.ndarray], Tensor]] = {}
         self.seed(0)
 
@@ -199,6 +202,15 @@ class SceneStream:
         way = (block["goal"] - block["start"][:, :2]).norm(dim=-1)
         among = dataclasses.replace(self.robots, radius=tuple(radii))
         return block | {"robot": among.draw(size, generator, slowest=way / _IN_TIME)}
+
+
+def _described(scene: Scene) -> Iterator[SceneSampler | PeopleSampler]:
+    """What files and mappings say, also within mixtures."""
+    if isinstance(scene.sample, Mixture):
+        for part in scene.sample.scenes:
+            yield from _described(part)
+    elif isinstance(scene.sample, SceneSampler | PeopleSampler):
+        yield scene.sample
 
 
 def _joined(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from recipes.record import Record
 from recipes.training.quoting import is_of_hydra, quoted
 from recipes.training.run_folder import is_over, remove_if_refused
-from recipes.training.stopping import IS_STAGE
+from recipes.training.stopping import IS_STAGE, stop_signals
 
 _PR_SET_PDEATHSIG = 1
 
@@ -80,12 +80,8 @@ def run(name: str, command: Sequence[str]) -> float:
         asked.append(number)
         child.send_signal(number)
 
-    before = {one: signal.signal(one, forward) for one in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with stop_signals(forward):
         code = child.wait()
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
     if asked:
         raise SystemExit(128 + asked[0])
     if code:

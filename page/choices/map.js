@@ -1,5 +1,6 @@
 // How well every preference is expected to serve a person, as dots in the triangle.
 import { css, mixture } from "../view/colors.js";
+import { circle, trace } from "../view/shapes.js";
 
 const HEIGHT = Math.sqrt(3) / 2;
 
@@ -28,8 +29,7 @@ export function drawMap(canvas, preferences, best, theme) {
   c.strokeStyle = theme.quiet;
   c.globalAlpha = 0.5;
   c.lineJoin = "round";
-  c.beginPath();
-  for (const corner of [[1, 0, 0], [0, 1, 0], [0, 0, 1]]) c.lineTo(...place(corner));
+  trace(c, [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map(place));
   c.closePath();
   c.stroke();
   c.globalAlpha = 1;
@@ -40,15 +40,13 @@ export function drawMap(canvas, preferences, best, theme) {
     const share = best ? Math.max(1 - (most - values[index]) / 0.3, 0) : 0;
     c.fillStyle = best ? css(mixture(preference, theme.corners)) : theme.quiet;
     c.globalAlpha = 0.35 + 0.65 * share;
-    c.beginPath();
-    c.arc(...place(preference), 1.6 + (largest - 1.6) * share, 0, 2 * Math.PI);
+    circle(c, ...place(preference), 1.6 + (largest - 1.6) * share);
     c.fill();
   });
   c.globalAlpha = 1;
   if (!best) return;
   c.strokeStyle = theme.ink;
   c.lineWidth = 3;
-  c.beginPath();
-  c.arc(...place(preferences[best.index]), largest + 4, 0, 2 * Math.PI);
+  circle(c, ...place(preferences[best.index]), largest + 4);
   c.stroke();
 }

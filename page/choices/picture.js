@@ -1,6 +1,7 @@
 // One drive, drawn: the way it took, and the robot on it.
 import { CONTROL_PERIOD } from "../simulation/drive.js";
 import { onDark, rgb, css } from "../view/colors.js";
+import { circle, drawLine } from "../view/shapes.js";
 import { drawBox, drawGoal, drawHuman, drawRing, drawRobot } from "../view/things.js";
 
 /** Left and right, as in the pictures of recipes.choices: blue and vermilion, which no colour blindness confuses. */
@@ -61,20 +62,6 @@ export class Picture {
     ];
   }
 
-  /** A line through points in metres. */
-  line(points, color, width, dash, alpha = 1) {
-    const { context: c } = this;
-    c.save();
-    c.globalAlpha = alpha;
-    c.strokeStyle = color;
-    c.lineWidth = width;
-    c.setLineDash(dash);
-    c.beginPath();
-    for (const point of points) c.lineTo(...this.at(point));
-    c.stroke();
-    c.restore();
-  }
-
   /** The robot where it is after some seconds. */
   draw(theme, seconds) {
     const { context: c, scene, drive, ratio } = this;
@@ -95,15 +82,14 @@ export class Picture {
     drawRing(this, human, PERSONAL_SPACE);
     drawGoal(this, scene.goal);
     scene.boxes.forEach((box) => drawBox(this, box));
-    if (drive.demonstration) this.line(drive.demonstration, theme.ink, 2, [8, 6], 0.5);
+    if (drive.demonstration) drawLine(this, drive.demonstration, theme.ink, 2, [8, 6], 0.5);
     const way = drive.poses.slice(0, before + 1);
-    this.line(drive.poses, css(color), 2.5, [], 0.35);
-    this.line(way, css(color), 4.5, []);
+    drawLine(this, drive.poses, css(color), 2.5, [], 0.35);
+    drawLine(this, way, css(color), 4.5);
     const every = Math.round(EVERY / CONTROL_PERIOD);
     c.fillStyle = css(color);
     for (let place = 0; place <= last; place += every) {
-      c.beginPath();
-      c.arc(...this.at(drive.poses[place]), 4.5, 0, 2 * Math.PI);
+      circle(c, ...this.at(drive.poses[place]), 4.5);
       c.fill();
     }
     drawHuman(this, human);

@@ -1,5 +1,5 @@
 // An episode of envs/navigation.py: where everything is, what is sensed, how it ends.
-import { CONTROL_PERIOD, drive, standing } from "./drive.js";
+import { CONTROL_PERIOD, SUBSTEPS, TIME_STEP, advance, standing } from "./drive.js";
 import { boxDistance, polar, wrapAngle } from "./geometry.js";
 import { scan } from "./lidar.js";
 
@@ -72,10 +72,16 @@ export class Episode {
   /** A control step under a command [m/s, rad/s]; returns the poses within it. */
   step(command) {
     this.humanBefore = [this.human[0], this.human[1]];
-    if (this.humanSpeed) this.#walk(this.humanSpeed * CONTROL_PERIOD);
-    const poses = drive(this.body, command, this.robot);
+    const poses = [];
+    let touched = null;
+    for (let step = 1; step <= SUBSTEPS; step++) {
+      if (this.humanSpeed) this.#walk(this.humanSpeed * TIME_STEP);
+      advance(this.body, command, this.robot);
+      poses.push([this.body.x, this.body.y, this.body.heading]);
+      if (step < SUBSTEPS) touched ??= this.#touched();
+    }
     this.elapsed++;
-    this.ending = this.#end();
+    this.ending = this.#end(touched);
     return poses;
   }
 
@@ -101,12 +107,20 @@ export class Episode {
     }
   }
 
-  #end() {
-    const { goalRadius, maxSteps } = this.limits;
+  // "human" or "box" that the robot touches right now, or null.
+  #touched() {
     const { x, y } = this.body;
     if (this.humanDistance <= this.robot.radius + HUMAN_RADIUS) return "human";
-    if (this.boxes.some((box) => boxDistance(x, y, box) <= this.robot.radius)) return "box";
-    if (Math.hypot(this.goal[0] - x, this.goal[1] - y) <= goalRadius) return "goal";
+    return this.boxes.some((box) => boxDistance(x, y, box) <= this.robot.radius) ? "box" : null;
+  }
+
+  // How a control step ends that touched something within it, or null.
+  #end(before) {
+    const { goalRadius, maxSteps } = this.limits;
+    const touched = [before, this.#touched()];
+    if (touched.includes("human")) return "human";
+    if (touched.includes("box")) return "box";
+    if (Math.hypot(this.goal[0] - this.body.x, this.goal[1] - this.body.y) <= goalRadius) return "goal";
     return this.elapsed >= maxSteps ? "time" : null;
   }
 }

@@ -1,12 +1,15 @@
 // The floor from above: everything that is drawn.
 import { HUMAN_RADIUS } from "../simulation/episode.js";
+import { boxDistance } from "../simulation/geometry.js";
 import { DASHES, MARKS, css, mixture } from "./colors.js";
+import { circle, drawLine, trace } from "./shapes.js";
 import { drawBox, drawGoal, drawHuman, drawLidar, drawRing, drawRobot, drawTarget } from "./things.js";
 
 const MARGIN = { x: 1.0, y: 0.9 };
 const LEAST_HEIGHT = 5.4; // metres
 const PERSONAL_SPACE = 2; // metres: closer than this, distance counts
 const TOUCH = 22; // pixels around a thing that still take hold of it
+const BESIDE = 8; // and beside a box
 
 export class Floor {
   constructor(canvas, session) {
@@ -76,13 +79,7 @@ export class Floor {
     if (near(this.session.shown.human, HUMAN_RADIUS)) return "human";
     if (near(episode.goal, episode.limits.goalRadius)) return "goal";
     const [x, y] = this.metres(px, py);
-    const index = episode.boxes.findIndex((box) => {
-      const [dx, dy] = [x - box[0], y - box[1]];
-      const [cos, sin] = [Math.cos(box[2]), Math.sin(box[2])];
-      const grace = 8 / this.scale;
-      const along = Math.abs(cos * dx + sin * dy) <= box[3] + grace;
-      return along && Math.abs(cos * dy - sin * dx) <= box[4] + grace;
-    });
+    const index = episode.boxes.findIndex((box) => boxDistance(x, y, box) <= BESIDE / this.scale);
     return index < 0 ? null : `box${index}`;
   }
 
@@ -101,7 +98,7 @@ export class Floor {
     drawGoal(this, session.episode.goal);
     session.episode.boxes.forEach((box, index) => drawBox(this, box, `box${index}`));
     if (this.show.demonstration && session.demonstration) {
-      this.line(session.demonstration, theme.ink, 2.5, [10, 7], 0.55);
+      drawLine(this, session.demonstration, theme.ink, 2.5, [10, 7], 0.55);
     }
     for (const ghost of session.ghosts) this.#trail(ghost, 0.3);
     this.#trail([...session.trail.slice(0, -4), { x: pose[0], y: pose[1] }], 1);
@@ -128,30 +125,12 @@ export class Floor {
     c.stroke();
   }
 
-  /** A line through points in metres. */
-  line(points, color, width, dash, alpha = 1) {
-    const { context: c } = this;
-    c.save();
-    c.globalAlpha = alpha;
-    c.strokeStyle = color;
-    c.lineWidth = width;
-    c.setLineDash(dash);
-    c.beginPath();
-    points.forEach((point, index) => {
-      const [x, y] = this.at(point);
-      if (index) c.lineTo(x, y);
-      else c.moveTo(x, y);
-    });
-    c.stroke();
-    c.restore();
-  }
-
   // Where the robot went, each piece in the colour of the preference under which it went there.
   #trail(trail, alpha) {
     const { theme } = this;
     if (trail.length < 2) return;
     if (alpha === 1) {
-      this.line(trail.map(({ x, y }) => [x, y]), theme.casing, 7, []);
+      drawLine(this, trail.map(({ x, y }) => [x, y]), theme.casing, 7);
     }
     for (let from = 0; from < trail.length - 1; ) {
       let to = from + 1;
@@ -159,7 +138,7 @@ export class Floor {
       const { preference } = trail[from + 1];
       const color = preference ? css(mixture(preference, theme.corners)) : theme.quiet;
       const part = trail.slice(from, to + 1).map(({ x, y }) => [x, y]);
-      this.line(part, color, alpha === 1 ? 4.5 : 3, [], alpha);
+      drawLine(this, part, color, alpha === 1 ? 4.5 : 3, [], alpha);
       from = to;
     }
   }
@@ -168,13 +147,13 @@ export class Floor {
     const { theme } = this;
     if (own) {
       const color = css(mixture(this.session.preference, theme.corners));
-      this.line([pose, ...own.points.slice(2)], color, 9, [], 0.28);
+      drawLine(this, [pose, ...own.points.slice(2)], color, 9, [], 0.28);
     }
     ways.forEach(({ points }, corner) => {
       const color = css(theme.corners[corner]);
       const ahead = [pose, ...points.slice(2)];
-      this.line(ahead, theme.casing, 5, DASHES[corner % DASHES.length], 0.55);
-      this.line(ahead, color, 3, DASHES[corner % DASHES.length]);
+      drawLine(this, ahead, theme.casing, 5, DASHES[corner % DASHES.length], 0.55);
+      drawLine(this, ahead, color, 3, DASHES[corner % DASHES.length]);
     });
     names.forEach((place, corner) => {
       const color = css(theme.corners[corner]);
@@ -215,17 +194,15 @@ export class Floor {
   #mark(x, y, mark, color) {
     const { context: c, theme } = this;
     const r = 6;
-    c.beginPath();
-    if (mark === "circle") c.arc(x, y, r, 0, 2 * Math.PI);
+    if (mark === "circle") circle(c, x, y, r);
     else {
       const count = { square: 4, triangle: 3, diamond: 4 }[mark];
       const turn = mark === "square" ? Math.PI / 4 : Math.PI / 2;
-      for (let corner = 0; corner < count; corner++) {
+      const corners = Array.from({ length: count }, (_, corner) => {
         const angle = turn + (2 * Math.PI * corner) / count;
-        const place = [x + 1.3 * r * Math.cos(angle), y - 1.3 * r * Math.sin(angle)];
-        if (corner) c.lineTo(...place);
-        else c.moveTo(...place);
-      }
+        return [x + 1.3 * r * Math.cos(angle), y - 1.3 * r * Math.sin(angle)];
+      });
+      trace(c, corners);
       c.closePath();
     }
     c.fillStyle = color;

@@ -2,13 +2,13 @@
 import { HUMAN_RADIUS } from "../simulation/episode.js";
 import { NUM_RAYS } from "../simulation/lidar.js";
 import { css, mixture } from "./colors.js";
+import { circle, drawLine, trace } from "./shapes.js";
 
 export function drawRing(floor, place, radius) {
   const { context: c, theme } = floor;
   const [x, y] = floor.at(place);
   c.fillStyle = theme.faint;
-  c.beginPath();
-  c.arc(x, y, radius * floor.scale, 0, 2 * Math.PI);
+  circle(c, x, y, radius * floor.scale);
   c.fill();
   c.fillStyle = theme.quiet;
   c.font = "12px system-ui, sans-serif";
@@ -24,14 +24,13 @@ export function drawLidar(floor) {
     body.x + robot.lidar_offset * Math.cos(body.heading),
     body.y + robot.lidar_offset * Math.sin(body.heading),
   ];
-  c.beginPath();
+  const seen = [];
   for (let ray = 0; ray < NUM_RAYS; ray += 2) {
     const angle = body.heading + (2 * Math.PI * ray) / NUM_RAYS;
     const range = session.scan[ray];
-    c.lineTo(
-      ...floor.at([origin[0] + range * Math.cos(angle), origin[1] + range * Math.sin(angle)]),
-    );
+    seen.push(floor.at([origin[0] + range * Math.cos(angle), origin[1] + range * Math.sin(angle)]));
   }
+  trace(c, seen);
   c.closePath();
   c.fillStyle = theme.lidar;
   c.fill();
@@ -45,8 +44,7 @@ export function drawGoal(floor, place) {
   const [x, y] = floor.at(place);
   const r = session.episode.limits.goalRadius * floor.scale;
   c.fillStyle = theme.goal;
-  c.beginPath();
-  c.arc(x, y, r, 0, 2 * Math.PI);
+  circle(c, x, y, r);
   c.fill();
   c.strokeStyle = theme.ink;
   c.lineWidth = 1.5;
@@ -55,15 +53,10 @@ export function drawGoal(floor, place) {
   c.setLineDash([]);
   const pole = Math.max(0.62 * floor.scale, 30);
   c.lineWidth = 2.5;
-  c.beginPath();
-  c.moveTo(x, y);
-  c.lineTo(x, y - pole);
+  trace(c, [[x, y], [x, y - pole]]);
   c.stroke();
   c.fillStyle = theme.ink;
-  c.beginPath();
-  c.moveTo(x, y - pole);
-  c.lineTo(x + 0.55 * pole, y - 0.8 * pole);
-  c.lineTo(x, y - 0.6 * pole);
+  trace(c, [[x, y - pole], [x + 0.55 * pole, y - 0.8 * pole], [x, y - 0.6 * pole]]);
   c.fill();
   held(floor, "goal", x, y, r);
 }
@@ -93,11 +86,10 @@ export function drawHuman(floor, place) {
   const [gx, gy] = session.episode.humanGoal;
   const walks = session.episode.humanSpeed > 0 && Math.hypot(gx - place[0], gy - place[1]) > 0.05;
   const heading = walks ? Math.atan2(gy - place[1], gx - place[0]) : (place[2] ?? 0);
-  if (walks) floor.line([place, [gx, gy]], theme.ink, 1.2, [2, 6], 0.6);
+  if (walks) drawLine(floor, [place, [gx, gy]], theme.ink, 1.2, [2, 6], 0.6);
   c.fillStyle = theme.human;
   c.globalAlpha = 0.22;
-  c.beginPath();
-  c.arc(x, y, r, 0, 2 * Math.PI);
+  circle(c, x, y, r);
   c.fill();
   c.globalAlpha = 1;
   c.save();
@@ -109,10 +101,7 @@ export function drawHuman(floor, place) {
   c.fillStyle = theme.head;
   c.strokeStyle = theme.human;
   c.lineWidth = 1.5;
-  c.beginPath();
-  c.moveTo(0.46 * r, 0.2 * r); // a nose
-  c.lineTo(0.74 * r, 0);
-  c.lineTo(0.46 * r, -0.2 * r);
+  trace(c, [[0.46 * r, 0.2 * r], [0.74 * r, 0], [0.46 * r, -0.2 * r]]); // a nose
   c.arc(0, 0, 0.5 * r, -0.4, 0.4, true);
   c.closePath();
   c.fill();
@@ -131,8 +120,7 @@ function held(floor, name, x, y, radius) {
   const { context: c, theme } = floor;
   c.strokeStyle = theme.focus;
   c.lineWidth = 2.5;
-  c.beginPath();
-  c.arc(x, y, radius + 7, 0, 2 * Math.PI);
+  circle(c, x, y, radius + 7);
   c.stroke();
 }
 
@@ -147,20 +135,14 @@ export function drawRobot(floor, [px, py, heading]) {
   c.fillStyle = session.driver ? theme.quiet : css(mixture(session.preference, theme.corners));
   c.strokeStyle = theme.floor;
   c.lineWidth = 3;
-  c.beginPath();
-  c.arc(0, 0, r + 4, 0, 2 * Math.PI);
+  circle(c, 0, 0, r + 4);
   c.stroke();
   c.fill();
   c.fillStyle = theme.robot;
-  c.beginPath();
-  c.arc(0, 0, 0.86 * r, 0, 2 * Math.PI);
+  circle(c, 0, 0, 0.86 * r);
   c.fill();
   c.fillStyle = theme.nose;
-  c.beginPath();
-  c.moveTo(0.72 * r, 0);
-  c.lineTo(-0.3 * r, 0.5 * r);
-  c.lineTo(-0.08 * r, 0);
-  c.lineTo(-0.3 * r, -0.5 * r);
+  trace(c, [[0.72 * r, 0], [-0.3 * r, 0.5 * r], [-0.08 * r, 0], [-0.3 * r, -0.5 * r]]);
   c.closePath();
   c.fill();
   c.restore();
@@ -171,8 +153,7 @@ export function drawTarget(floor) {
   const [x, y] = floor.at(floor.target);
   c.strokeStyle = theme.focus;
   c.lineWidth = 2;
-  c.beginPath();
-  c.arc(x, y, 11, 0, 2 * Math.PI);
+  circle(c, x, y, 11);
   c.moveTo(x - 16, y);
   c.lineTo(x + 16, y);
   c.moveTo(x, y - 16);

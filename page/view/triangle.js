@@ -1,5 +1,6 @@
 // The preference as a dot between three corners.
 import { css, mixture } from "./colors.js";
+import { trace } from "./shapes.js";
 
 const HEIGHT = Math.sqrt(3) / 2;
 const STEP = 0.05;
@@ -75,10 +76,7 @@ export class Triangle {
     context.putImageData(image, 0, 0);
     // A clean edge.
     context.globalCompositeOperation = "destination-in";
-    context.beginPath();
-    context.moveTo(size / 2, 0);
-    context.lineTo(0, height);
-    context.lineTo(size, height);
+    trace(context, [[size / 2, 0], [0, height], [size, height]]);
     context.fill();
     this.show(this.weights);
   }

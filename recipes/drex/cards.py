@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib.metadata
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
+
+from recipes.training.policies import card_config
 
 from .demonstrations import demonstrator_arguments
 
@@ -14,10 +16,11 @@ def metadata(cfg: DictConfig) -> dict[str, Any]:
     """What made the demonstrations."""
     packages = ("torch", "torchrl", "tensordict", "mujoco", "torchrl-morl")
     made = {
-        "config": OmegaConf.to_container(cfg, resolve=True),
+        "config": card_config(cfg),
         "versions": {name: importlib.metadata.version(name) for name in packages},
     }
     if cfg.demonstrations.dataset is None:
         # Whoever finds it drives it, to measure how close a policy comes.
-        made["demonstrator"] = demonstrator_arguments(cfg)
+        robot = made["config"]["env"]["robot"]
+        made["demonstrator"] = demonstrator_arguments(cfg) | {"robot": robot}
     return made

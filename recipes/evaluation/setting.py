@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, get_args
 
 from envs import TURTLEBOT2, Robot, RobotRanges, Scene, get_robots, get_scene
@@ -154,6 +155,25 @@ def demonstration(card: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in given.items() if name != "robot"}
 
 
+def demonstration_on(
+    given: Mapping[str, Any], robot: str | Path | Mapping[str, Any] | Robot | RobotRanges
+) -> dict[str, Any]:
+    """Arguments of the demonstrator on a robot: a slower one shows the same at its own speed, in m/s.
+
+    Args:
+        given: of :class:`envs.demonstrations.CircleDemonstrator`; its robot is replaced.
+        robot: who shows it; of ranges the fastest counts.
+
+    Examples:
+        >>> slow = {"radius": 0.2, "max_speed": 0.3}
+        >>> demonstration_on({"radius": 1.0, "speed": 0.4}, slow)["speed"]
+        0.3
+    """
+    fastest = largest(get_robots(robot)).max_speed
+    speed = min(given.get("speed", DEMONSTRATED), fastest)
+    return {**given, "speed": speed, "robot": robot}
+
+
 def demonstrator(card: Mapping[str, Any], robot: Robot | RobotRanges) -> CircleDemonstrator | None:
     """Drives what the policy was shown, on a robot; ``None`` for recorded demonstrations, or none.
 
@@ -164,12 +184,12 @@ def demonstrator(card: Mapping[str, Any], robot: Robot | RobotRanges) -> CircleD
     """
     if "demonstrator" not in card:
         return None
-    arguments = demonstration(card)
+    arguments = {**demonstration(card), "robot": robot}
     trained = training_config(card, "env").get("robot") or "turtlebot2"
     if isinstance(get_robots(trained), RobotRanges):
-        arguments["speed"] = min(arguments.get("speed", DEMONSTRATED), largest(robot).max_speed)
+        arguments = demonstration_on(arguments, robot)
     try:
-        return CircleDemonstrator(**arguments, robot=robot)
+        return CircleDemonstrator(**arguments)
     except ValueError as error:
         raise ValueError(f"card: demonstrator: {error}") from error
 

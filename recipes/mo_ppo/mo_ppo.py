@@ -61,6 +61,12 @@ def main(cfg: DictConfig) -> None:
     tunable = task.preference_space.tunable
     demo = tunable.index("demo") if "demo" in tunable else None
     # What it started as, if that is worth keeping: the anchor holds it where the style is preferred.
+    efficiency = tunable.index("efficiency") if "efficiency" in tunable else None
+    if cfg.loss.elsewhere_coeff and (demo is None or efficiency is None):
+        raise ValueError(
+            "loss.elsewhere_coeff must be 0 without the objectives demo and efficiency, got "
+            f"{cfg.loss.elsewhere_coeff}."
+        )
     has_style = cfg.policy is not None or clones(cfg)
     anchored = demo is not None and has_style and cfg.loss.anchor_coeff > 0
     start = copy.deepcopy(actor).requires_grad_(False) if anchored else None
@@ -77,7 +83,9 @@ def main(cfg: DictConfig) -> None:
     def costs(batch: TensorDictBase) -> dict[str, Tensor]:
         # Penalties are smooth: a part of the batch, which is shuffled, will do.
         part = batch[: cfg.optim.penalty_batch_size]
-        return penalties.compute(cfg, part, actor, sigma=sigma, demo=demo, anchored=anchored)
+        return penalties.compute(
+            cfg, part, actor, sigma=sigma, demo=demo, anchored=anchored, efficiency=efficiency
+        )
 
     on_policy.train(
         cfg,

@@ -32,8 +32,9 @@ def compute(
     sigma: Tensor,
     demo: int | None,
     anchored: bool,
+    efficiency: int | None = None,
 ) -> dict[str, Tensor]:
-    """What an actor pays for beside its returns: smoothness, standing still, a side, and the anchor.
+    """What an actor pays for beside its returns: smoothness, standing still, a side, a style, and the anchor.
 
     Args:
         cfg: the configuration.
@@ -44,6 +45,7 @@ def compute(
         sigma: standard deviations of the policy.
         demo: the place of the demonstrated style in the preference; ``None`` without demonstrations.
         anchored: whether the batch says what the policy did at the start.
+        efficiency: the place of hurry in the preference, for the cost ``elsewhere``.
 
     Returns:
         Of those that are asked for, before their coefficients.
@@ -57,6 +59,12 @@ def compute(
         found["standing"] = standing(action)
     if cfg.loss.mirror_coeff:
         found["mirror"] = mirror(batch, action, actor, parts=parts, demo=demo)
+    stands = somebody_stands(batch["observation"], parts)
+    if cfg.loss.elsewhere_coeff:
+        assert stands is not None and demo is not None and efficiency is not None
+        found["elsewhere"] = elsewhere(
+            batch, action, actor, stands=stands, demo=demo, efficiency=efficiency
+        )
     if anchored:
         # The demonstrated style is a learned reward: see config.yaml.
         found["anchor"] = anchor(
@@ -66,7 +74,7 @@ def compute(
             objective=demo,
             radius=cfg.loss.anchor_radius,
             clearance=cfg.loss.anchor_clearance,
-            stands=somebody_stands(batch["observation"], parts),
+            stands=stands,
         )
     return found
 
@@ -229,6 +237,40 @@ def mirror(
     if demo is not None:
         difference = (1 - batch["preference"][..., demo]) ** 3 * difference
     return difference.mean()
+
+
+def elsewhere(
+    batch: TensorDictBase,
+    action: Tensor,
+    actor: TensorDictSequential,
+    *,
+    stands: Tensor,
+    demo: int,
+    efficiency: int,
+) -> Tensor:
+    """How much a policy does otherwise for a style where there is none to follow, mean square.
+
+    Where nobody stands each step costs as much in the style as in efficiency, so that a weight on the
+    one asks for what a weight on the other does. The policy learns there what it does with all of that
+    weight on efficiency, which itself does not move.
+
+    Args:
+        batch: of transitions.
+        action: of the actor there, in [-1, 1], ``[*B, A]``.
+        actor: writes the action at the other preference.
+
+    Keyword Args:
+        stands: where somebody stands, ``[*B]``.
+        demo: the place of the demonstrated style in the preference.
+        efficiency: the place of hurry.
+    """
+    same = batch.select(*actor.in_keys)
+    preference = same["preference"].clone()
+    preference[..., efficiency] += preference[..., demo]
+    preference[..., demo] = 0
+    with torch.no_grad():
+        wanted = actor(same.set("preference", preference))["action"]
+    return ((action - wanted).square().sum(-1) * ~stands).mean()
 
 
 def standing(action: Tensor) -> Tensor:

@@ -138,6 +138,9 @@ class Loss(ppo_schema.Loss):
     mirror_coeff: NotNegative = Field(
         description="Cost of doing otherwise in the mirror image, where the style is not preferred."
     )
+    elsewhere_coeff: NotNegative = Field(
+        description="Cost of following a style where nobody stands; needs demonstrations.standing_only."
+    )
     standing_coeff: NotNegative = Field(description="Cost of neither driving nor turning.")
 
     @model_validator(mode="after")
@@ -199,4 +202,9 @@ class Config(Section):
         schema.check_segments(self.preference.num_segments, self.env.num_envs)
         worker_schema.check_workers(self.collector, self.env.num_envs, self.preference.num_segments)
         ppo_schema.check_batch_size(self.optim.batch_size, frames)
+        if self.loss.elsewhere_coeff and not self.demonstrations.standing_only:
+            raise ValueError(
+                "loss.elsewhere_coeff must be 0 without demonstrations.standing_only=true, got "
+                f"{self.loss.elsewhere_coeff}: the style pays everywhere."
+            )
         return self

@@ -18,23 +18,25 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
-import torch
 
 from envs import HUMAN_RADIUS
 from envs.people import FAR
-from torchrl_morl.evaluation import draw_scene
 
 from ..arguments import Parser, count
-from ..evaluation.setting import GOAL_RADIUS
 from ..outputs import choose_file
 from .conditions import CHANGES, SCENE_KINDS
 from .files import SUMMARY, Evaluation, read_evaluation
+from .panels import Column, draw_room, draw_walk
 from .table import markdown
 
 _HEADER = ["condition", "success / %", "touches people / %", "touches boxes / %", "timeouts / %"]
 _RATES = ("success", "collision_human", "collision_obstacle", "timeout")
 _COLUMNS = 4
-_FAILURE_COLOURS = {"collision_human": "#d62728", "collision_obstacle": "#ff7f0e", "timeout": "0.4"}
+_FAILURES = {
+    "collision_human": ("touches a person", "#d62728"),
+    "collision_obstacle": ("touches a box", "#ff7f0e"),
+    "timeout": ("out of time", "0.4"),
+}
 
 
 def read_system(directory: Path, system: str) -> dict[str, Evaluation]:
@@ -43,28 +45,24 @@ def read_system(directory: Path, system: str) -> dict[str, Evaluation]:
     Raises:
         FileNotFoundError: if there is none.
     """
-    folders = {
-        path.parent.name: path.parent for path in directory.glob(f"{system}/[!.]*/{SUMMARY}")
-    }
-    if not folders:
+    names = {path.parent.name for path in (directory / system).glob(f"[!.]*/{SUMMARY}")}
+    if not names:
         raise FileNotFoundError(
             f"No evaluation of {system!r} in {directory}: python -m recipes.results.evaluate makes them."
         )
-    known = [*SCENE_KINDS, *CHANGES]
-    order = sorted(folders, key=lambda name: (known.index(name) if name in known else 999, name))
-    return {name: read_evaluation(folders[name]) for name in order}
+    known = {name: place for place, name in enumerate([*SCENE_KINDS, *CHANGES])}
+    order = sorted(names, key=lambda name: (known.get(name, len(known)), name))
+    return {name: read_evaluation(directory / system / name) for name in order}
 
 
 def conditions_table(evaluations: dict[str, Evaluation]) -> str:
     """A row a condition: rates in percent, success with its 95 % interval."""
     rows = []
     for name, evaluation in evaluations.items():
-        rates = [evaluation.summary["rates"][rate] for rate in _RATES]
-        success = rates[0]
-        cells = [
-            f"{100 * success['estimate']:.1f} [{100 * success['low']:.1f}, {100 * success['high']:.1f}]"
-        ]
-        cells += [f"{100 * rate['estimate']:.1f}" for rate in rates[1:]]
+        rates = evaluation.summary["rates"]
+        cells = [f"{100 * rates[rate]['estimate']:.1f}" for rate in _RATES]
+        low, high = (100 * rates["success"][end] for end in ("low", "high"))
+        cells[0] += f" [{low:.1f}, {high:.1f}]"
         rows.append([f"`{name}`", *cells])
     return markdown(_HEADER, rows)
 
@@ -81,9 +79,8 @@ def failures_page(path: Path, evaluations: dict[str, Evaluation], panels: int) -
         The conditions that are shown; nothing is written if nothing fails.
     """
     share = {name: 1 - one.values("success").mean() for name, one in evaluations.items()}
-    shown = [name for name in sorted(share, key=share.get, reverse=True) if share[name] > 0][
-        :panels
-    ]
+    failing = [name for name in sorted(share, key=share.get, reverse=True) if share[name] > 0]
+    shown = failing[:panels]
     if not shown:
         return []
     lines = -(-len(shown) // _COLUMNS)
@@ -96,10 +93,7 @@ def failures_page(path: Path, evaluations: dict[str, Evaluation], panels: int) -
         _draw_failures(axis, evaluations[name])
         axis.set_title(f"{name}: {100 * share[name]:.0f} % do not arrive", fontsize=9)
     handles = [
-        plt.Line2D([], [], color=colour, label=label)
-        for colour, label in zip(
-            _FAILURE_COLOURS.values(), ("touches a person", "touches a box", "out of time")
-        )
+        plt.Line2D([], [], color=colour, label=label) for label, colour in _FAILURES.values()
     ]
     fig.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
     fig.savefig(path, dpi=110)
@@ -108,32 +102,24 @@ def failures_page(path: Path, evaluations: dict[str, Evaluation], panels: int) -
 
 
 def _draw_failures(axis: plt.Axes, evaluation: Evaluation) -> None:
-    """The scene in which most preferences fail: the failed paths, and who walked where."""
-    failed = evaluation.values("success")[0] == 0
-    scene = int(failed.sum(0).argmax())
-    arrays = evaluation.trajectories
-    boxes = arrays["boxes"][scene]
-    still = {name: torch.from_numpy(arrays[name][scene]) for name in ("start", "goal")}
-    draw_scene(
-        axis,
-        **still,
-        human=torch.from_numpy(arrays["human_start"][scene]),
-        boxes=torch.from_numpy(boxes[boxes[:, 0] < FAR / 2]),
-        human_radius=HUMAN_RADIUS,
-        goal_radius=GOAL_RADIUS,
-    )
-    places = [still["start"][None, :2].numpy(), still["goal"][None].numpy()]
-    for row in np.flatnonzero(failed[:, scene]):
-        mask = arrays["mask"][0, row, scene]
-        path, human = (arrays[name][0, row, scene][mask] for name in ("position", "human"))
-        cause = next(name for name in _FAILURE_COLOURS if evaluation.values(name)[0, row, scene])
-        colour = _FAILURE_COLOURS[cause]
+    """The training seed and scene in which most preferences fail: those paths, and who walked where."""
+    failed = evaluation.values("success") == 0
+    seed, scene = divmod(int(failed.sum(1).argmax()), failed.shape[-1])
+    arrays, room = evaluation.trajectories, Column(evaluation, scene, "").room
+    draw_room(axis, room)
+    places = [room["start"][None, :2], room["goal"][None]]
+    for row in np.flatnonzero(failed[seed, :, scene]):
+        episode = seed, row, scene
+        mask = arrays["mask"][episode]
+        path, human = (arrays[name][episode][mask] for name in ("position", "human"))
+        cause = next(name for name in _FAILURES if evaluation.values(name)[episode])
+        _, colour = _FAILURES[cause]
         axis.plot(*path.T, color=colour, linewidth=1.2)
         axis.plot(*path[-1], "o", color=colour, markersize=4)
         places.append(path)
         if abs(human[-1, 0]) < FAR / 2:
             places.append(human[-1:])
-            axis.plot(*human.T, color="0.35", linestyle=":", linewidth=1.0)
+            draw_walk(axis, human)
             axis.add_patch(plt.Circle(human[-1], HUMAN_RADIUS, color="black", alpha=0.6))
     low, high = (edge(np.concatenate(places), axis=0) for edge in (np.min, np.max))
     axis.set_xlim(low[0] - 1, high[0] + 1)

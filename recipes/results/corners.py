@@ -21,14 +21,10 @@ import numpy as np
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from envs import HUMAN_RADIUS
-from torchrl_morl.evaluation import draw_scene
-
 from ..arguments import Parser, positive_int
-from ..evaluation.setting import GOAL_RADIUS
 from ..objectives import OBJECTIVES
 from .files import Evaluation, read_evaluation
-from .qualitative import Column
+from .panels import Column, draw_room, draw_walk, nearest_step, shown
 from .quantitative import STYLE
 
 _COLUMNS = 5
@@ -52,11 +48,7 @@ def corners_figure(path: Path, columns: list[Column], *, seed: int = 0) -> None:
     Raises:
         ValueError: without scenes, or if the system ignores preferences.
     """
-    if not columns:
-        raise ValueError("no scenes to show.")
-    first = columns[0].evaluation
-    if first.summary["ignores_preference"]:
-        raise ValueError(f"{first.system} ignores preferences: nothing to show at their corners.")
+    first = shown(columns)
     across = min(_COLUMNS, len(columns))
     down = math.ceil(len(columns) / across)
     with plt.rc_context(STYLE):
@@ -79,37 +71,26 @@ def corners_figure(path: Path, columns: list[Column], *, seed: int = 0) -> None:
 
 
 def _panel(ax: plt.Axes, column: Column, seed: int) -> None:
-    evaluation, index = column.evaluation, column.scene
+    evaluation, index, room = column.evaluation, column.scene, column.room
     arrays = evaluation.trajectories
     success = evaluation.values("success")
-    shown = [arrays["start"][index][None, :2], arrays["goal"][index][None]]
-    draw_scene(
-        ax,
-        start=arrays["start"][index],
-        goal=arrays["goal"][index],
-        human=arrays["human_start"][index],
-        boxes=arrays["boxes"][index],
-        human_radius=HUMAN_RADIUS,
-        goal_radius=GOAL_RADIUS,
-        marker_scale=0.6,
-    )
-    way = arrays["demonstration"][index][arrays["demonstration_mask"][index]]
-    ax.plot(*way.T, color="0.6", linewidth=3.0, zorder=1.5)
+    moves = [room["start"][None, :2], room["goal"][None]]
+    draw_room(ax, room, marker_scale=0.6)
+    ax.plot(*room["demonstration"].T, color="0.6", linewidth=3.0, zorder=1.5)
     for name in evaluation.objectives:
         row = evaluation.corner(name)
         mask = arrays["mask"][seed, row, index]
         robot, human = (arrays[key][seed, row, index][mask] for key in ("position", "human"))
         color = OBJECTIVES[name].color
         ax.plot(*robot.T, color=color, linewidth=1.6, zorder=4)
-        if np.ptp(human, axis=0).max() > 0.1:
-            nearest = int(np.linalg.norm(robot - human, axis=-1).argmin())
-            ax.plot(*human.T, color="0.35", linestyle=":", linewidth=1.2, zorder=2)
+        if draw_walk(ax, human):
+            nearest = nearest_step(robot, human)
             for points in (robot, human):
                 ax.plot(*points[nearest], "o", color=color, markersize=4, zorder=5)
         if not success[seed, row, index]:
             ax.plot(*robot[-1], "x", color=color, markersize=8, markeredgewidth=2, zorder=6)
-        shown.append(robot)
-    _frame(ax, np.concatenate(shown))
+        moves.append(robot)
+    _frame(ax, np.concatenate(moves))
     ax.set_title(column.title, fontsize=9)
 
 

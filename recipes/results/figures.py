@@ -12,7 +12,8 @@ from pathlib import Path
 
 from ..arguments import Parser
 from .files import SUMMARY, Evaluation, read_evaluation
-from .qualitative import Column, pick_scenes, qualitative_figure
+from .panels import Column
+from .qualitative import pick_scenes, qualitative_figure
 from .quantitative import quantitative_figure
 
 SHOWN = {"static": 2, "moving_human": 2, "corridor": 1}

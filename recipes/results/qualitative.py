@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import matplotlib
@@ -17,34 +16,17 @@ from matplotlib.colors import Colormap, Normalize
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from envs import HUMAN_RADIUS
-from torchrl_morl.evaluation import draw_paths, draw_scene
+from torchrl_morl.evaluation import draw_paths
 from torchrl_morl.geometry import rotate
 
-from ..evaluation.setting import GOAL_RADIUS
 from ..objectives import OBJECTIVES, edge_map
 from .files import Evaluation
+from .panels import WALK, Column, draw_room, draw_walk, nearest_step, shown
 from .quantitative import STYLE
 
 _WIDTH, _HEIGHT = 7.16, 8.8  # of two columns, and of a page with room for a caption, inches
 _MARGIN = 0.4
 _NARROWEST = 3.4  # metres, so that titles fit
-_WALK = {"color": "0.35", "linestyle": ":", "linewidth": 1.2}
-
-
-@dataclasses.dataclass(frozen=True)
-class Column:
-    """A scene of an evaluation.
-
-    Args:
-        evaluation: under one condition.
-        scene: its index.
-        title: above it.
-    """
-
-    evaluation: Evaluation
-    scene: int
-    title: str
 
 
 def pick_scenes(evaluation: Evaluation, count: int, *, longest: float = 7.5) -> list[int]:
@@ -79,11 +61,7 @@ def qualitative_figure(path: Path, columns: list[Column], *, seed: int = 0) -> N
     Raises:
         ValueError: without columns, or if the system ignores preferences.
     """
-    if not columns:
-        raise ValueError("No scenes to show.")
-    first = columns[0].evaluation
-    if first.summary["ignores_preference"]:
-        raise ValueError(f"{first.system} ignores preferences: nothing to show over them.")
+    first = shown(columns)
     objectives, preferences = first.objectives, first.preferences
     steps = first.edge_steps
     edges = range(0, len(preferences), steps)
@@ -140,14 +118,14 @@ def qualitative_figure(path: Path, columns: list[Column], *, seed: int = 0) -> N
 
 def _upright(column: Column, seed: int) -> dict[str, NDArray]:
     """Arrays of one scene, turned so that the goal is above the start; angles turn along."""
-    arrays, index = column.evaluation.trajectories, column.scene
+    arrays, index, room = column.evaluation.trajectories, column.scene, column.room
 
     def turned(points: NDArray) -> NDArray:
         points = torch.from_numpy(points.astype(np.float64))
         return rotate(points, torch.full(points.shape[:-1], torch.pi / 2)).numpy()
 
     def turned_pose(name: str) -> NDArray:
-        poses = arrays[name][index].astype(np.float64)
+        poses = room[name].astype(np.float64)
         poses[..., :2] = turned(poses[..., :2])
         poses[..., 2] += np.pi / 2
         return poses
@@ -157,12 +135,10 @@ def _upright(column: Column, seed: int) -> dict[str, NDArray]:
         "human": turned(arrays["human"][seed, :, index]),
         "mask": arrays["mask"][seed, :, index],
         "start": turned_pose("start"),
-        "goal": turned(arrays["goal"][index]),
+        "goal": turned(room["goal"]),
         "human_start": turned_pose("human_start"),
         "boxes": turned_pose("boxes"),
-        "demonstration": turned(arrays["demonstration"][index])[
-            arrays["demonstration_mask"][index]
-        ],
+        "demonstration": turned(room["demonstration"]),
     }
 
 
@@ -183,30 +159,14 @@ def _limits(scene: dict[str, NDArray]) -> tuple[float, float, float, float]:
 
 def _draw(ax: plt.Axes, scene: dict[str, NDArray], rows: slice, cmap: Colormap) -> None:
     middle = (rows.start + rows.stop) // 2
-    nearest = _nearest(scene, middle)
-    draw_scene(
-        ax,
-        start=scene["start"],
-        goal=scene["goal"],
-        human=np.append(scene["human"][middle, nearest], scene["human_start"][2]),
-        boxes=scene["boxes"],
-        human_radius=HUMAN_RADIUS,
-        goal_radius=GOAL_RADIUS,
-        marker_scale=0.5,
-    )
+    robot, human = (scene[name][middle][scene["mask"][middle]] for name in ("position", "human"))
+    place = human[nearest_step(robot, human)]
+    draw_room(ax, scene, human=np.append(place, scene["human_start"][2]), marker_scale=0.5)
     longest = rows.start + int(scene["mask"][rows].sum(1).argmax())
-    walked = scene["human"][longest][scene["mask"][longest]]
-    if np.ptp(walked, axis=0).max() > 0.1:
-        ax.plot(*walked.T, **_WALK, zorder=2)
+    draw_walk(ax, scene["human"][longest][scene["mask"][longest]])
     values = np.linspace(0, 1, rows.stop - rows.start)
     draw_paths(ax, scene["position"][rows], scene["mask"][rows], values, cmap=cmap, linewidth=0.9)
     ax.plot(*scene["demonstration"].T, **_DEMONSTRATION, zorder=3.5)
-
-
-def _nearest(scene: dict[str, NDArray], row: int) -> int:
-    """Step at which the robot is nearest to the human."""
-    distance = np.linalg.norm(scene["position"][row] - scene["human"][row], axis=-1)
-    return int(np.where(scene["mask"][row], distance, np.inf).argmin())
 
 
 _DEMONSTRATION = {"color": "black", "linewidth": 1.0, "dashes": (4, 1.5)}
@@ -218,6 +178,6 @@ def _legend() -> list[Line2D]:
     return [
         Line2D([], [], **_DEMONSTRATION, label="demonstration"),
         Line2D([], [], marker="o", color="white", **dot, label="human, when nearest"),
-        Line2D([], [], **_WALK, label="way of the human"),
+        Line2D([], [], **WALK, label="way of the human"),
         Line2D([], [], marker="*", color="black", linestyle="", markersize=6, label="goal"),
     ]

@@ -11,13 +11,12 @@ from typing import Any
 
 from tensordict.nn import TensorDictModuleBase
 
-from envs import get_robot
 from envs.demonstrations import CircleDemonstrator
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
 from ..evaluation.references import make_reference
-from ..evaluation.setting import DEMONSTRATED, demonstration, trained_in
+from ..evaluation.setting import demonstration, demonstration_on, trained_in
 
 _REFERENCE = "reference:"
 
@@ -74,9 +73,7 @@ class System:
 
     def demonstrator(self, robot: str) -> CircleDemonstrator:
         """On a robot, with actions in m/s and rad/s; a slower one shows it at its own speed."""
-        shown = {"speed": DEMONSTRATED, **self.demonstration, "robot": robot}
-        shown["speed"] = min(shown["speed"], get_robot(robot).max_speed)
-        return CircleDemonstrator(**shown)
+        return CircleDemonstrator(**demonstration_on(self.demonstration, robot))
 
 
 def untrained(

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-import signal
-import threading
 import time
+from collections.abc import Iterable, Mapping
 from types import ModuleType
 from unittest import mock
+
+from .stopping import stop_signals
 
 PATIENCE = 300.0
 """Seconds in which other programs must have left a cluster the CPUs that the workers reserve."""
@@ -44,7 +45,8 @@ def join_cluster(address: str | None, workers: int, cpus: int) -> bool:
             # Ray's workers are nice to everybody else: these are half of the training. And a cluster of
             # our own reports nothing to anybody.
             environment = {"RAY_worker_niceness": "0", "RAY_USAGE_STATS_ENABLED": "0"}
-        with _own_signals(), mock.patch.dict(os.environ, environment):
+        # Ray takes SIGTERM.
+        with stop_signals(), mock.patch.dict(os.environ, environment):
             try:
                 ray.init(log_to_driver=False, logging_level="error", **arguments)
             except Exception as error:
@@ -63,30 +65,35 @@ def join_cluster(address: str | None, workers: int, cpus: int) -> bool:
 
 def _wait_for_cpus(ray: ModuleType, workers: int, cpus: int) -> None:
     """Refuse a cluster that is too small, and wait for one that is busy: Ray says nothing of either."""
-    machines = [int(one["Resources"].get("CPU", 0)) for one in ray.nodes() if one["Alive"]]
-    if sum(machine // cpus for machine in machines) < workers:
+    machines = _cpus(one["Resources"] for one in ray.nodes() if one["Alive"])
+    if not machines:
+        raise ConnectionError("the cluster of Ray has no machine that answers: start it anew.")
+    if _room(machines, cpus) < workers:
         raise ValueError(
             f"collector.num_workers={workers} of collector.worker_cpus={cpus} do not fit into the cluster, "
             f"whose machines have {', '.join(map(str, machines))} CPUs."
         )
     end = time.monotonic() + PATIENCE
-    while (free := int(ray.available_resources().get("CPU", 0))) < workers * cpus:
+    while (room := _room(free := _free_cpus(ray), cpus)) < workers:
         if time.monotonic() > end:
             raise ConnectionError(
-                f"the cluster is busy: {free} of its {sum(machines)} CPUs are free after "
-                f"{PATIENCE:.0f} seconds, {workers} workers need {workers * cpus}."
+                f"the cluster is busy: its machines have {', '.join(map(str, free))} CPUs free after "
+                f"{PATIENCE:.0f} seconds, room for {room} of collector.num_workers={workers} with "
+                f"collector.worker_cpus={cpus}."
             )
         time.sleep(0.5)
 
 
-class _own_signals:
-    """Ray takes SIGTERM: what was there before comes back."""
+def _free_cpus(ray: ModuleType) -> list[int]:
+    """Of each machine. Ray's public functions only know their sum."""
+    return _cpus(ray._private.state.available_resources_per_node().values())
 
-    def __enter__(self) -> None:
-        self.before = {}
-        if threading.current_thread() is threading.main_thread():
-            self.before = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
 
-    def __exit__(self, *_: object) -> None:
-        for one, handler in self.before.items():
-            signal.signal(one, handler)
+def _cpus(machines: Iterable[Mapping[str, float]]) -> list[int]:
+    """Of their resources, which lack what a machine has none of."""
+    return [int(one.get("CPU", 0)) for one in machines]
+
+
+def _room(machines: list[int], cpus: int) -> int:
+    """Workers that fit: each has its CPUs on one machine."""
+    return sum(machine // cpus for machine in machines)

@@ -154,7 +154,7 @@ class _Command:
         self.debug = "--debug" in arguments or os.environ.get("HYDRA_FULL_ERROR") == "1"
         arguments = [one for one in arguments if one != "--debug"]
         _new_runs.clear()
-        with stopping.handled():
+        with stopping.handled(), contextlib.ExitStack() as self.held:
             try:
                 self._run(arguments)
                 return
@@ -223,6 +223,12 @@ class _Command:
         self.overrides = resumed(overrides, self.schema, self.folder)
         if not shows:
             self._check(multirun=multirun)
+            if not self.was_empty:
+                # Before Hydra writes the configuration of what goes on.
+                try:
+                    self.held.enter_context(run_folder.held(self.run_dir))
+                except ValueError as error:
+                    raise ConfigurationError(str(error)) from error
         options = _options(args)
         argv = [sys.argv[0], *options, *_QUIET, *self.overrides]
         task = hydra.main(
@@ -272,8 +278,13 @@ class _Command:
             if "MULTIRUN" in str(now.mode):
                 self.run_dir = Path(now.runtime.output_dir)
                 print(f"--- job {now.job.num}: {' '.join(now.overrides.task)} -> {self.run_dir}")
+            folder = Path(now.runtime.output_dir)
             try:
-                with quiet.torchrl(), quiet.plain_warnings(keep=self.debug):
+                with contextlib.ExitStack() as held:
+                    if self.was_empty:
+                        held.enter_context(run_folder.held(folder))
+                    held.enter_context(quiet.torchrl())
+                    held.enter_context(quiet.plain_warnings(keep=self.debug))
                     self.main(cfg)
             except Exception as error:
                 raise _InJob(error) from None

@@ -10,6 +10,7 @@ from tensordict.nn import TensorDictSequential
 
 from envs.fields import portable
 from envs.policy_env import contract
+from envs.scene_files import portable_scene
 from torchrl_morl.deploy import save_policy
 
 from .corners import CornerResult
@@ -52,8 +53,10 @@ def save_training_policy(
 def card_config(cfg: DictConfig) -> dict[str, Any]:
     """The configuration as others can read it: files of scenes and robots by what they say."""
     config = OmegaConf.to_container(cfg, resolve=True)
-    for section, name in (("env", "scene"), ("env", "robot"), ("evaluation", "scene")):
-        config[section][name] = portable(config[section][name])
+    for section in ("env", "evaluation"):
+        if "scene" in config.get(section, {}):  # demonstrations have no evaluation
+            config[section]["scene"] = portable_scene(config[section]["scene"])
+    config["env"]["robot"] = portable(config["env"]["robot"])
     return config
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import importlib.metadata
 import itertools
 import json
@@ -12,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,30 @@ def check_run_dir(run_dir: Path) -> None:
         raise FileExistsError(
             f"{policies} exists and is not overwritten: choose another hydra.run.dir."
         )
+
+
+@contextlib.contextmanager
+def held(run_dir: Path) -> Iterator[None]:
+    """Keep other processes from training in a folder while the block runs.
+
+    A lock of the folder itself, which ends with the process: it leaves nothing behind.
+
+    Raises:
+        ValueError: if another process holds it.
+    """
+    folder = os.open(run_dir, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(
+                f"{run_dir} is being trained by another process: wait until it ends, or stop it."
+            ) from None
+        except OSError:
+            pass  # a network's file system that has no locks of folders
+        yield
+    finally:
+        os.close(folder)
 
 
 def remove_if_refused(run_dir: Path, *, keep: bool = False) -> None:

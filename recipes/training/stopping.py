@@ -7,7 +7,8 @@ import dataclasses
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from types import FrameType
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -84,6 +85,40 @@ def until_stopped(batches: Iterable[T]) -> Iterator[T]:
 
 
 @contextlib.contextmanager
+def stop_signals(
+    handler: Callable[[int, FrameType | None], object] | signal.Handlers | None = None,
+) -> Iterator[None]:
+    """A block behind which Ctrl-C and SIGTERM have the handlers that they had before it.
+
+    Python gives signals to the main thread alone: elsewhere this does nothing.
+
+    Args:
+        handler: of both in the block; ``None`` leaves those that are there, for code that sets its own.
+
+    Examples:
+        >>> before = signal.getsignal(signal.SIGTERM)
+        >>> with stop_signals(signal.SIG_IGN):
+        ...     signal.getsignal(signal.SIGTERM).name
+        'SIG_IGN'
+        >>> signal.getsignal(signal.SIGTERM) == before
+        True
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        if handler is not None:
+            for one in before:
+                signal.signal(one, handler)
+        yield
+    finally:
+        for one, old in before.items():
+            if old is not None:  # else it is not one of Python's, which cannot put it back
+                signal.signal(one, old)
+
+
+@contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
     """A block that a request waits for, such as the writing of a file; it ends the process behind it.
 
@@ -103,15 +138,10 @@ def undisturbed() -> Iterator[None]:
 def handled() -> Iterator[StopRequested]:
     """Turns Ctrl-C and SIGTERM into requests, in the main thread, as long as the block lasts."""
     _request.signal, _request.waits, _request.begun = None, False, False
-    if threading.current_thread() is not threading.main_thread():
-        yield _request
-        return
-    before = {one: signal.signal(one, _ask) for one in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield _request
+        with stop_signals(_ask):
+            yield _request
     finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
         _request.waits = False
 
 

@@ -26,8 +26,8 @@ from envs.policy_env import (
     observed_size,
     simulated,
 )
-from envs.robot_ranges import largest
 from envs.splits import check_validation_seed, training_seed
+from recipes.evaluation.setting import demonstration_on
 from recipes.evaluation.sweep import scene_layout
 from recipes.objectives import reward_objectives
 from torchrl_morl.deploy import load_reward_model
@@ -211,8 +211,7 @@ def demonstrator_of(card: dict[str, Any], robot: Any) -> dict[str, Any]:
     given = dict(card["demonstrator"])
     shown, here = get_robots(given.get("robot", "turtlebot2")), get_robots(robot)
     if isinstance(shown, RobotRanges) or isinstance(here, RobotRanges):
-        given["robot"] = robot
-        given["speed"] = min(given["speed"], largest(here).max_speed)
+        return demonstration_on(given, robot)
     return given
 
 

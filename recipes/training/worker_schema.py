@@ -11,6 +11,10 @@ from .fields import Allows, Section
 Address = Annotated[str, StringConstraints(pattern=r"^(auto|.+:\d+)$"), Allows("auto or HOST:PORT")]
 
 
+_WITHOUT_WORKERS = {"num_workers": 1, "worker_cpus": 1, "ray_address": None}
+"""What only workers of Ray read, and what it is where there are none."""
+
+
 class Workers(Section):
     """Who collects: the process of the training, or workers of Ray."""
 
@@ -33,11 +37,14 @@ class Workers(Section):
 
     @model_validator(mode="after")
     def _workers_have_an_effect(self) -> Workers:
-        if self.backend == "direct" and self.num_workers != 1:
-            raise ValueError(
-                "collector.num_workers must be 1 with collector.backend=direct, where the process of "
-                f"the training collects, got {self.num_workers}: give collector.backend=ray."
-            )
+        if self.backend == "direct":
+            for name, default in _WITHOUT_WORKERS.items():
+                if (value := getattr(self, name)) != default:
+                    raise ValueError(
+                        f"collector.{name} must be {'null' if default is None else default} with "
+                        "collector.backend=direct, where the process of the training collects, "
+                        f"got {value}: give collector.backend=ray."
+                    )
         return self
 
 

@@ -7,6 +7,7 @@ policy. While the learner updates, workers wait, and while they collect, it does
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import dataclasses
 import os
@@ -147,11 +148,15 @@ class Workers:
     def shutdown(self) -> None:
         """End the workers, and the cluster if it was started for them."""
         collector, self._collector = self._collector, None
-        if collector is not None:
-            collector.shutdown()
-        if self._owns_ray:
-            self.ray.shutdown()
-            self._owns_ray = False
+        try:
+            if collector is not None:
+                # Workers of a cluster that is gone have ended. What made it go is what is reported.
+                with contextlib.suppress(self.ray.exceptions.RayError):
+                    collector.shutdown()
+        finally:
+            if self._owns_ray:
+                self.ray.shutdown()
+                self._owns_ray = False
 
     def _batches(self) -> Iterator[TensorDictBase]:
         total, device = self.cfg.collector.total_frames, self.problem.device
@@ -175,18 +180,20 @@ class Workers:
         that the learner's host name has there, and waits a minute for a worker that is dead.
         """
         weights = TensorDict.from_module(self.policy).data.cpu().clone()
-        reference = self.ray.put(weights)
+        try:
+            reference = self.ray.put(weights)
+        except self.ray.exceptions.RayError as error:
+            raise WorkerLost(f"the learner {_reason(error)}") from error
         workers = self._collector.remote_collectors
         self._all([worker.update_policy_weights_.remote(reference) for worker in workers])
 
     def _all(self, references: list) -> list:
         """What every worker returns, in order; the first one that has failed is named."""
-        exceptions = self.ray.exceptions
         results = []
         for worker, reference in enumerate(references):
             try:
                 results.append(self.ray.get(reference))
-            except (exceptions.RayActorError, exceptions.RayTaskError) as error:
+            except self.ray.exceptions.RayError as error:
                 raise WorkerLost(f"{self._name(worker)} {_reason(error)}") from error
         return results
 
@@ -218,7 +225,6 @@ class Workers:
             "remote_configs": {"num_cpus": cpus},
             "weight_sync_schemes": {},
         }
-        exceptions = self.ray.exceptions
         try:
             self._collector = Collector(
                 makers,
@@ -231,16 +237,38 @@ class Workers:
                 init_random_frames=random_frames,
                 backend_options=settings,
             )
-        except (exceptions.RayActorError, exceptions.RayTaskError) as error:
+        except self.ray.exceptions.RayError as error:
             raise WorkerLost(f"a worker {_reason(error)}") from error
         remote = self._collector.remote_collectors
         self.names = self._all([worker.where.remote() for worker in remote])
 
 
 def _reason(error: Exception) -> str:
-    """Why a worker is gone, in one line."""
+    """Why a worker is gone, and what to do about it, in one line.
+
+    Args:
+        error: one of ``ray.exceptions.RayError``.
+    """
+    from ray import exceptions
+
+    name = type(error).__name__
     if cause := getattr(error, "cause", None):
-        return f"has failed: {type(cause).__name__}: {cause}"
+        return f"has failed: {type(cause).__name__}: {' '.join(str(cause).split())}"
     if getattr(error, "actor_init_failed", False):
         return f"has not begun: {str(error).strip().splitlines()[-1].strip()}"
-    return "has died: killed, out of memory, or its machine is gone"
+    if isinstance(error, exceptions.ActorUnavailableError):
+        return "cannot be reached: its machine or the network is gone"
+    if isinstance(error, exceptions.RayActorError | exceptions.WorkerCrashedError):
+        return "has died: killed, out of memory, or its machine is gone"
+    if isinstance(error, exceptions.ObjectLostError):
+        return f"has lost what it was sending ({name}): a machine is gone or cut off"
+    if isinstance(
+        error,
+        exceptions.ObjectStoreFullError | exceptions.OutOfDiskError | exceptions.OutOfMemoryError,
+    ):
+        return (
+            f"has failed ({name}): a machine is out of memory or disk, free some or take a smaller "
+            "collector.frames_per_batch"
+        )
+    what = (str(error).strip().splitlines() or ["no reason given"])[0]
+    return f"has failed ({name}: {what}): start the cluster of Ray anew"

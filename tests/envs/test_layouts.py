@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 
 import pytest
 import torch
@@ -11,7 +13,7 @@ from torchrl.envs.utils import check_env_specs
 from envs import SCENES, NavigationEnv, get_scene
 from envs.box_layouts import missing_boxes
 from envs.catalogue import MET
-from envs.layouts import mixture
+from envs.layouts import Layout, mixture
 from envs.people import FAR, absent
 from envs.scene_checks import checked
 
@@ -98,6 +100,33 @@ def test_specs(name):
     check_env_specs(NavigationEnv(scene=name, num_envs=2, num_threads=1, seed=0, num_rays=30))
 
 
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Layout(()), "people must hold at least one, such as envs.people.nobody"),
+        (lambda: mixture("none", []), "mixture must name at least one scene"),
+        (
+            lambda: NavigationEnv(repeat_failed="x"),
+            "repeat_failed must be between 0 and 1, got 'x'",
+        ),
+    ],
+)
+def test_what_is_refused_in_python(make, message):
+    with pytest.raises(ValueError, match=message) as error:
+        make()
+    assert "\n" not in str(error.value)
+
+
+def test_every_scene_can_be_copied_and_pickled():
+    """So can its environment, for other processes: what comes back draws the same."""
+    for name, scene in SCENES.items():
+        for other in (copy.deepcopy(scene), pickle.loads(pickle.dumps(scene))):
+            assert other == scene and hash(other) == hash(scene), name
+    env = NavigationEnv(scene="everyday", robot="any", num_envs=2, num_threads=1, seed=3)
+    other = pickle.loads(pickle.dumps(env))
+    assert torch.equal(env.reset()["scan"], other.reset()["scan"])
+
+
 def test_every_name_is_a_scene_that_checks_pass():
     for name, scene in MET.items():
         assert get_scene(name) is scene
@@ -135,7 +164,7 @@ def test_nobody_from_fields():
         ({**HALL, "people": 3}, r"people must be a list of .*, got 3"),
         ({**HALL, "people": [3]}, r"people\[0\] must be fields .*, got 3"),
         ({**HALL, "people": [], "human": [1, 1]}, "human and people exclude each other"),
-        ({**HALL, "people": [{"at": [4, 0], "goal": [1, 1]}]}, "both goal and speed to walk"),
+        ({**HALL, "people": [{"at": [4, 0], "goal": [1, 1]}]}, "speed must be above 0"),
         ({**HALL, "people": [{**WALKS, "speed": 9}]}, "speed must be a number of m/s from 0 to 3"),
         ({**HALL, "people": [{**WALKS, "wait": 9}]}, "unknown field 'wait'"),
         ({**HALL, "people": [{"at": [0.1, 0]}]}, "no scene found .* start must be farther from"),

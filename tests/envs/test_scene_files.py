@@ -14,6 +14,7 @@ from omegaconf import OmegaConf
 
 from envs import HUMAN_RADIUS, TURTLEBOT2, NavigationEnv, get_scene
 from envs.fields import portable
+from envs.scene_files import portable_scene
 from torchrl_morl.evaluation import shortest_path_length
 from torchrl_morl.geometry import point_box_distance, segment_box_distance
 
@@ -330,3 +331,59 @@ def test_a_mixture_finds_files_beside_it_and_not_itself(tmp_path, monkeypatch):
     (tmp_path / "hall.yaml").write_text("mixture: {mine.yaml: 1}")
     with pytest.raises(ValueError, match=r"mine\.yaml is a mixture of itself: leave it out"):
         get_scene(tmp_path / "mine.yaml")
+
+
+@pytest.fixture
+def nested(tmp_path):
+    """A mixture of a scene by name, one with people, and another mixture in a folder below."""
+    below = tmp_path / "rooms"
+    below.mkdir()
+    (tmp_path / "hall.yaml").write_text("start: [0, 0, 0]\ngoal: [8, 0]\npeople: [{at: [4, 1.5]}]")
+    (below / "room.yaml").write_text(yaml.safe_dump(FIXED))
+    (below / "both.yaml").write_text("mixture: {room.yaml: 1, empty: 1}")
+    return _written(tmp_path, "mixture: {hall.yaml: 1, static: 2, rooms/both.yaml: 3}", "mine.yaml")
+
+
+def test_a_card_keeps_the_files_that_a_mixture_names(nested, monkeypatch):
+    scene, kept = get_scene(nested), json.loads(json.dumps(portable_scene(nested)))
+    moved = nested.parent.rename(nested.parent.with_name("elsewhere"))
+    monkeypatch.chdir(moved.parent)
+    assert get_scene(kept) == scene and hash(get_scene(kept)) == hash(scene)
+    assert portable_scene(kept) == kept
+    for key, value in _draw(kept).items():
+        assert torch.equal(value, _draw(scene)[key])
+    assert list(kept["mixture"]) == ["hall.yaml", "static", "rooms/both.yaml"]
+    assert kept["mixture"]["static"] == 2
+
+
+def test_a_mapping_may_name_files_and_hold_scenes(nested, monkeypatch):
+    monkeypatch.chdir(nested.parent)
+    given = {"mixture": {"hall.yaml": {"weight": 2}, "own": {"weight": 1, "scene": FIXED}}}
+    kept = portable_scene(given)
+    nested.with_name("hall.yaml").unlink()
+    assert [one.name for one in get_scene(kept).sample.scenes] == ["hall", "room"]
+    nameless = {name: value for name, value in FIXED.items() if name != "name"}
+    own = {"mixture": {"own": {"weight": 1, "scene": nameless}}}
+    assert [one.name for one in get_scene(own).sample.scenes] == ["own"]
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({}, r"mixture\.own\.weight must be a weight above 0, got None"),
+        ({"weight": 0, "scene": FIXED}, r"mixture\.own\.weight must be a weight above 0, got 0"),
+        ({"wieght": 1}, r"unknown field 'wieght' of mixture\.own\. Did you mean 'weight'\?"),
+        ({"weight": 1, "scene": {}}, r"mixture: the mapping of the scene: start is missing"),
+        ({"weight": 1, "scene": 3}, r"mixture: Unknown scene 3: choose one of"),
+    ],
+)
+def test_entries_of_a_mixture_that_are_refused(entry, message):
+    with pytest.raises(ValueError, match=message) as error:
+        get_scene({"mixture": {"own": entry}})
+    assert "\n" not in str(error.value)
+
+
+def test_a_card_cannot_keep_a_mixture_of_itself(nested):
+    nested.with_name("hall.yaml").write_text("mixture: {mine.yaml: 1}")
+    with pytest.raises(ValueError, match=r"mine\.yaml is a mixture of itself: leave it out"):
+        portable_scene(nested)

@@ -3,7 +3,8 @@ import { createInterface } from "node:readline";
 
 import { Drives } from "../../page/recording/drives.js";
 import { Hand } from "../../page/recording/hand.js";
-import { drive, standing } from "../../page/simulation/drive.js";
+import { SUBSTEPS, advance, standing } from "../../page/simulation/drive.js";
+import { Episode } from "../../page/simulation/episode.js";
 import { Frechet } from "../../page/simulation/frechet.js";
 import { boxDistance, polar, wrapAngle } from "../../page/simulation/geometry.js";
 import { scan, sectors } from "../../page/simulation/lidar.js";
@@ -26,8 +27,19 @@ const PARTS = {
   sectors: (ranges, count) => Array.from(sectors(Float32Array.from(ranges), count)),
   drive(pose, command, robot, steps) {
     const body = standing(pose);
-    for (let step = 0; step < steps; step++) drive(body, command, robot);
+    for (let step = 0; step < steps * SUBSTEPS; step++) advance(body, command, robot);
     return body;
+  },
+  // Where the robot is after each of these commands, and how the episode ends.
+  episode(scene, robot, commands) {
+    const episode = new Episode(scene, robot);
+    const poses = [];
+    for (const command of commands) {
+      if (episode.ending !== null) break;
+      episode.step(command);
+      poses.push(episode.pose);
+    }
+    return { poses, human: episode.human, ending: episode.ending };
   },
   frechet(path, other) {
     const frechet = new Frechet(path);

@@ -9,8 +9,9 @@ import subprocess
 
 import numpy as np
 import pytest
+import torch
 
-from envs import TURTLEBOT2
+from envs import HUMAN_RADIUS, TURTLEBOT2, NavigationEnv
 from recipes.objectives import OBJECTIVES, preference_colors
 from recipes.page.contents import SHIPPED, contents
 
@@ -54,6 +55,38 @@ def test_a_body_that_turns_drives_a_circle(call):
     body = call("drive", [0.0, 0.0, 0.0], [0.5, 1.0], ROBOT, 157)  # 31.4 s, five turns of 2 pi s
     # The radius is half a metre, so it is somewhere on that circle, give or take its start.
     assert math.hypot(body["x"], body["y"] - 0.5) == pytest.approx(0.5, abs=0.02)
+
+
+HALL = {"start": [0, 0, 0], "goal": [9, 0], "human": [5, 3, 0], "human_goal": [5, 3], "boxes": []}
+
+
+def test_somebody_who_grazes_the_robot_between_two_control_steps_ends_the_episode(call):
+    """As in ``NavigationEnv``: tests/envs/test_substeps.py has the same walk."""
+    graze = TURTLEBOT2.radius + HUMAN_RADIUS - 0.004
+    walk = {"human": [graze, 0.3, 0], "human_goal": [graze, -4], "human_speed": 3.0}
+    found = call("episode", {**HALL, **walk}, ROBOT, [[0, 0]] * 2)
+    assert found["human"][1] == pytest.approx(-0.3)  # the step goes on to its end
+    assert found["ending"] == "human" and len(found["poses"]) == 1
+
+
+def test_a_corner_that_is_grazed_between_two_control_steps_ends_the_episode(call):
+    """As in ``NavigationEnv``, in the same step."""
+    commands = [[0.5, 0.0]] * 12
+    free = call("episode", HALL, ROBOT, commands)["poses"]
+    # A chord of 0.075 m of the robot is in the corner, and a step is 0.1 m: neither of its ends is.
+    x, half = (free[7][0] + free[8][0]) / 2, 0.2
+    box = [x, half + TURTLEBOT2.radius - 0.004, math.pi / 4, half / 2**0.5, half / 2**0.5]
+    found = call("episode", {**HALL, "boxes": [box]}, ROBOT, commands)
+    assert call("boxDistance", *free[7][:2], box) > TURTLEBOT2.radius
+    assert call("boxDistance", *free[8][:2], box) > TURTLEBOT2.radius
+    assert found["ending"] == "box" and len(found["poses"]) == 9
+    sides = {"at": box[:2], "yaw": box[2], "size": [2 * box[3], 2 * box[4]]}
+    scene = {"start": [0, 0, 0], "goal": [9, 0], "human": [5, 3], "boxes": [sides]}
+    env = NavigationEnv(scene=scene, num_threads=1, seed=0)
+    data = env.reset()
+    for step in range(1, 10):
+        data = env.step(data.set("action", torch.tensor(commands[:1])))["next"]
+        assert data["collision_obstacle"].item() == (step == 9)
 
 
 def test_the_lidar_meets_a_circle_and_a_box_where_they_are(call):

@@ -35,6 +35,9 @@ from torchrl_morl.preferences import SamplingDistribution
 from torchrl_morl.testing import VectorRewardMockEnv
 from torchrl_morl.transforms import (
     CheckFinite,
+    HullRange,
+    InUnitsOf,
+    IsNobody,
     LidarMinPool,
     LogRange,
     PolarFeatures,
@@ -43,6 +46,7 @@ from torchrl_morl.transforms import (
     PreferenceRelabel,
     PreferenceSampler,
     RewardModelReward,
+    RobotScale,
     ScalarizeReward,
     VelocityInFrame,
 )
@@ -61,7 +65,7 @@ def transitions() -> TensorDict:
     data = make_batch(BATCH)
     data["scan"], data["goal"], data["human"] = rand(12), rand(2), rand(2)
     data["human_pose"], data["next", "human_pose"] = rand(3), rand(3)
-    data["next", "pose"] = rand(3)
+    data["next", "pose"], data["robot"] = rand(3), 0.1 + rand(6)
     data["pixels"] = (255 * rand(120, 200, 3)).to(torch.uint8)
     return data
 
@@ -145,6 +149,11 @@ def explore(module: nn.Module, data: TensorDict) -> TensorDict:
 
 CASES = {
     "CheckFinite": Case(lambda seed: CheckFinite(["observation"]), ("['observation']",)),
+    "HullRange": Case(lambda seed: HullRange("scan"), ("'scan'", "'hull_lidar'", "'robot'")),
+    "InUnitsOf": Case(lambda seed: InUnitsOf("human"), ("key='human'", "robot_key='robot'")),
+    "IsNobody": Case(
+        lambda seed: IsNobody(3.0, 1.5), ("distance=3.0", "bearing=1.5"), lambda: torch.rand(4, 2)
+    ),
     "LidarMinPool": Case(lambda seed: LidarMinPool(4), ("num_sectors=4", "scan")),
     "LogRange": Case(lambda seed: LogRange(3.5), ("max_range=3.5",), lambda: torch.rand(4)),
     "PolarFeatures": Case(
@@ -179,6 +188,7 @@ CASES = {
         lambda seed: RewardModelReward(reward_model(seed), position=2, scale=4.0),
         ("position=2", "scale=4.0", "RewardModel(", "in_features=6"),
     ),
+    "RobotScale": Case(lambda seed: RobotScale(3.5), ("max_range=3.5",), lambda: torch.rand(4, 6)),
     "ScalarizeReward": Case(
         lambda seed: ScalarizeReward(SPACE), ("'core', 1.0", "['scalar_reward']", "['reward']")
     ),

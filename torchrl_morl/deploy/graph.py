@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -144,9 +143,8 @@ class PolicyGraph(nn.Module):
         robot = self.sensing.robot(robot)
         if robot is not None:
             # Of such a policy, ranges are those of the lidar where it is, and limits those of the robot.
-            _, speed, turn_rate, *_, ahead = robot
-            self.sensing = dataclasses.replace(self.sensing, lidar_origin=(ahead, 0.0))
-            self.limits = Limits((0.0, speed), (-turn_rate, turn_rate))
+            self.sensing = self.sensing.of_robot(robot)
+            self.limits = Limits.of_robot(*robot[1:3])
         self.sectors = SectorMinima(lidar, self.sensing)
         # The layers alone: the check of preferences branches on values.
         self.layers = nn.Sequential(*policy.actor[0].module)

@@ -63,15 +63,15 @@ def training_lidar(
     if policy.sensing is None:
         raise ValueError("the file of this policy does not tell what it senses.")
     sensing = policy.sensing
-    numbers = sensing.robot(robot)
-    origin = sensing.lidar_origin if numbers is None else (numbers[-1], 0.0)
+    if (numbers := sensing.robot(robot)) is not None:
+        sensing = sensing.of_robot(numbers)
     return LidarGeometry(
         first_angle=0.0,
         increment=2 * np.pi / num_beams,
         num_beams=num_beams,
         range_min=0.0005,
         range_max=sensing.max_range,
-        mount=(*origin, 0.0),
+        mount=(*sensing.lidar_origin, 0.0),
     )
 
 

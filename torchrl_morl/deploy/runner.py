@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from .lidar import LidarGeometry
 from .onnx_runner import Command, Reason, Runner
 from .policy import Policy
+from .sensing import Limits
 
 __all__ = ["Command", "PolicyRunner", "Reason", "Runner"]
 
@@ -97,18 +98,15 @@ class PolicyRunner(Runner):
             raise ValueError("the file of this policy does not tell what it senses.")
         lidar.check(policy.sensing)
         self.robot = policy.sensing.robot(robot)
-        self._origin, limits = policy.sensing.lidar_origin, policy.limits.to_json()
+        sensing, limits = policy.sensing, policy.limits
         if self.robot is not None:
             # Of such a policy, ranges are those of the lidar where it is, and limits those of the robot.
-            _, speed, turn_rate, *_, ahead = self.robot
-            self._origin, limits = (
-                (ahead, 0.0),
-                {"speed": (0.0, speed), "turn_rate": (-turn_rate, turn_rate)},
-            )
+            sensing, limits = sensing.of_robot(self.robot), Limits.of_robot(*self.robot[1:3])
+        self._origin = sensing.lidar_origin
         self.policy, self.lidar = policy, lidar
         nearest_goal, _ = policy.sensing.goal_range
         given = goal_radius, timeout, max_speed, max_turn_rate
-        super().__init__(policy.period, nearest_goal, limits, given)
+        super().__init__(policy.period, nearest_goal, limits.to_json(), given)
 
     def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
         sensing = self.policy.sensing

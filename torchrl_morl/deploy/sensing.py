@@ -138,6 +138,18 @@ class Sensing:
             )
         return found
 
+    def of_robot(self, robot: Sequence[float]) -> Sensing:
+        """The same on one robot, whose lidar is where it says.
+
+        Args:
+            robot: its six numbers, as :meth:`robot` returns them.
+
+        Example:
+            >>> Sensing(observe_robot=True).of_robot((0.2, 0.5, 3.0, 6.28, 4.0, 0.1)).lidar_origin
+            (0.1, 0.0)
+        """
+        return dataclasses.replace(self, lidar_origin=(robot[-1], 0.0))
+
     def check(self, available: Sensing, source: str = "this environment") -> None:
         """Refuse what shows a policy something else than it was trained with.
 
@@ -225,6 +237,23 @@ class Limits:
                     f"limits: {field.name} must be two finite numbers in ascending order, "
                     f"got {(low, high)}."
                 )
+
+    @classmethod
+    def of_robot(cls, max_speed: float, max_turn_rate: float) -> Limits:
+        """Those of a robot that drives forwards from 0 and turns to both sides.
+
+        Args:
+            max_speed: m/s.
+            max_turn_rate: rad/s.
+
+        Raises:
+            ValueError: unless both are finite and above 0.
+
+        Example:
+            >>> Limits.of_robot(0.8, 2.0)
+            Limits(speed=(0.0, 0.8), turn_rate=(-2.0, 2.0))
+        """
+        return cls((0.0, max_speed), (-max_turn_rate, max_turn_rate))
 
     def to_json(self) -> dict[str, Any]:
         """As JSON values."""

@@ -8,10 +8,20 @@ from torchrl_morl.transforms.preference import PreferenceSampler
 from torchrl_morl.transforms.relabel import PreferenceExpand, PreferenceRelabel
 from torchrl_morl.transforms.reward import ScalarizeReward
 from torchrl_morl.transforms.reward_model import RewardModelReward
+from torchrl_morl.transforms.robot import (
+    HullRange,
+    InUnitsOf,
+    IsNobody,
+    RobotScale,
+    hull_ranges,
+)
 from torchrl_morl.transforms.velocity import VelocityInFrame
 
 __all__ = [
     "CheckFinite",
+    "HullRange",
+    "InUnitsOf",
+    "IsNobody",
     "LidarMinPool",
     "LogRange",
     "PolarFeatures",
@@ -20,7 +30,9 @@ __all__ = [
     "PreferenceRelabel",
     "PreferenceSampler",
     "RewardModelReward",
+    "RobotScale",
     "ScalarizeReward",
     "VelocityInFrame",
     "check_finite",
+    "hull_ranges",
 ]

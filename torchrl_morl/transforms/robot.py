@@ -8,10 +8,12 @@ import math
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import dispatch
+from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
+from torchrl_morl.arguments import check_positive
 from torchrl_morl.representation import describe
 from torchrl_morl.transforms.stored import apart_from_storage
 
@@ -39,7 +41,7 @@ def hull_ranges(lidar: Tensor, robot: Tensor) -> Tensor:
 
     Args:
         lidar: shortest range of each sector from the lidar, ``[*B, S]``, metres.
-        robot: ``[*B, 6]``, see :data:`ROBOT_SCALES`.
+        robot: its six numbers, ``[*B, 6]``, see :meth:`torchrl_morl.deploy.Sensing.robot`.
 
     Returns:
         ``[*B, S]``, metres, at least a millimetre.
@@ -67,6 +69,9 @@ class RobotScale:
         max_range: that scans are cut off at, metres. A lidar that sees further reads as one that sees
             as far: the scans of both are the same.
 
+    Raises:
+        ValueError: unless it is finite and positive.
+
     Example:
         >>> import torch
         >>> robot = torch.tensor([0.25, 1.0, torch.pi, 2 * torch.pi, 100.0, 0.25])
@@ -76,8 +81,11 @@ class RobotScale:
 
     max_range: float
 
+    def __post_init__(self) -> None:
+        check_positive("max_range", self.max_range)
+
     def __call__(self, robot: Tensor) -> Tensor:
-        """``[*B, 6]``, see :data:`ROBOT_SCALES`."""
+        """Six numbers ``[*B, 6]``, see :meth:`torchrl_morl.deploy.Sensing.robot`, to as many."""
         most = [math.inf] * len(ROBOT_SCALES)
         most[LIDAR_RANGE] = self.max_range
         return torch.minimum(robot, robot.new_tensor(most)) / robot.new_tensor(ROBOT_SCALES)
@@ -90,6 +98,12 @@ class IsNobody:
     Args:
         distance: that is reported of nobody, metres.
         bearing: that is reported of nobody, radians.
+
+    Example:
+        >>> import torch
+        >>> IsNobody()(torch.tensor([[4.0, torch.pi], [2.0, 0.1]]))
+        tensor([[1.],
+                [0.]])
     """
 
     distance: float = 4.0
@@ -104,20 +118,34 @@ class IsNobody:
 class _WithRobot(Transform):
     """Adds what follows from one entry and the robot."""
 
-    def __init__(self, in_key: str, out_key: str, robot_key: str) -> None:
-        super().__init__(in_keys=[in_key, robot_key], out_keys=[out_key])
+    def __init__(self, in_key: NestedKey, out_key: NestedKey, robot_key: NestedKey) -> None:
+        keys = unravel_key(in_key), unravel_key(robot_key)
+        super().__init__(in_keys=list(keys), out_keys=[unravel_key(out_key)])
 
     def compute(self, value: Tensor, robot: Tensor) -> Tensor:
         """The new entry, of the shape of the other."""
         raise NotImplementedError
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        value, robot = (next_tensordict.get(key) for key in self.in_keys)
-        return next_tensordict.set(self.out_keys[0], self.compute(value, robot))
+        value, robot = (next_tensordict[key] for key in self.in_keys)
+        if robot.shape[-1:] != (len(ROBOT_SCALES),):
+            raise ValueError(
+                f"{self.in_keys[1]} must have shape [..., {len(ROBOT_SCALES)}], got {list(robot.shape)}."
+            )
+        # The specs say that entries keep their dtype; the robot may have another.
+        return next_tensordict.set(self.out_keys[0], self.compute(value, robot.to(value.dtype)))
 
     @dispatch(source="in_keys", dest="out_keys", auto_batch_size=False)
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Add the entry to a tensordict."""
+        """Add the entry to a tensordict.
+
+        Args:
+            tensordict (TensorDictBase): holds the ``in_keys``.
+
+        Returns:
+            The same tensordict with the ``out_keys``; for a lazy stack, a shallow copy of it.
+
+        """
         return self._call(apart_from_storage(tensordict))
 
     def _reset(
@@ -136,17 +164,20 @@ class _WithRobot(Transform):
         )
         return observation_spec
 
-    def __repr__(self) -> str:
-        return describe(self, in_key=self.in_keys[0], out_key=self.out_keys[0])
-
 
 class HullRange(_WithRobot):
     """Add the free distance from the robot's hull in each sector: see :func:`hull_ranges`.
 
+    In a replay buffer append one for each time step, with keys such as ``("next", "lidar")``.
+
     Args:
-        in_key (str): ranges ``[*B, S]``, metres.
-        out_key (str): where distances are written.
-        robot_key (str): robots ``[*B, 6]``.
+        in_key (NestedKey): ranges ``[*B, S]``, metres.
+        out_key (NestedKey): where distances ``[*B, S]`` are written, metres.
+        robot_key (NestedKey): robots ``[*B, 6]``, see :meth:`torchrl_morl.deploy.Sensing.robot`.
+
+    Raises:
+        KeyError: at a call without ranges or robots.
+        ValueError: at a call with robots of another shape.
 
     Example:
         >>> import torch
@@ -157,7 +188,10 @@ class HullRange(_WithRobot):
     """
 
     def __init__(
-        self, in_key: str = "lidar", out_key: str = "hull_lidar", robot_key: str = "robot"
+        self,
+        in_key: NestedKey = "lidar",
+        out_key: NestedKey = "hull_lidar",
+        robot_key: NestedKey = "robot",
     ) -> None:
         super().__init__(in_key, out_key, robot_key)
 
@@ -165,13 +199,23 @@ class HullRange(_WithRobot):
         """See :func:`hull_ranges`."""
         return hull_ranges(value, robot)
 
+    def __repr__(self) -> str:
+        in_key, robot_key = self.in_keys
+        return describe(self, in_key=in_key, out_key=self.out_keys[0], robot_key=robot_key)
+
 
 class InUnitsOf(_WithRobot):
     """Turn a velocity in m/s into one in units of the robot's top speed.
 
+    In a replay buffer append one for each time step, with keys such as ``("next", "velocity")``.
+
     Args:
-        key (str): velocities ``[*B, 2]``; they are replaced.
-        robot_key (str): robots ``[*B, 6]``.
+        key (NestedKey): velocities ``[*B, 2]``, m/s; they are replaced.
+        robot_key (NestedKey): robots ``[*B, 6]``, see :meth:`torchrl_morl.deploy.Sensing.robot`.
+
+    Raises:
+        KeyError: at a call without velocities or robots.
+        ValueError: at a call with robots of another shape.
 
     Example:
         >>> import torch
@@ -182,9 +226,13 @@ class InUnitsOf(_WithRobot):
         tensor([2., 0.])
     """
 
-    def __init__(self, key: str, robot_key: str = "robot") -> None:
+    def __init__(self, key: NestedKey, robot_key: NestedKey = "robot") -> None:
         super().__init__(key, key, robot_key)
 
     def compute(self, value: Tensor, robot: Tensor) -> Tensor:
         """Over the robot's top speed."""
         return value / robot[..., TOP_SPEED, None]
+
+    def __repr__(self) -> str:
+        key, robot_key = self.in_keys
+        return describe(self, key=key, robot_key=robot_key)

@@ -173,6 +173,33 @@ def test_standing_by_hand():
     assert not action.grad[3:].any()
 
 
+def test_elsewhere_by_hand():
+    """The action is the preference for style and for hurry: one moved to the other is (0, sum)."""
+    actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=1 + 3, num_cells=())
+    with torch.no_grad():
+        actor[0].module[-1].weight.copy_(torch.tensor([[0.0, 1, 0, 0], [0, 0, 0, 1]]))
+        actor[0].module[-1].bias.zero_()
+    batch = TensorDict(
+        observation=torch.zeros(3, 1),
+        preference=torch.tensor([[0.5, 0.2, 0.3], [0.5, 0.2, 0.3], [0.0, 0.7, 0.3]]),
+        batch_size=[3],
+    )
+    before = batch.clone()
+    action = actor(batch.clone())["action"]
+
+    def cost(stands: list[bool]) -> torch.Tensor:
+        return penalties.elsewhere(
+            batch, action, actor, stands=torch.tensor(stands), demo=0, efficiency=2
+        )
+
+    half, most, third = (torch.tensor(value).tanh() for value in (0.5, 0.8, 0.3))
+    apart = half**2 + (most - third) ** 2
+    torch.testing.assert_close(cost([True, False, False]), apart / 3)
+    torch.testing.assert_close(cost([False, False, False]), 2 * apart / 3)
+    torch.testing.assert_close(cost([True, True, True]), torch.tensor(0.0))
+    assert (batch == before).all() and set(batch.keys()) == set(before.keys())
+
+
 def test_mirror_by_hand():
     """The speed is the goal's distance; the turn rate the sine of its bearing, and a tenth to the left."""
     actor = make_actor(Bounded(-1.0, 1.0, (2,)), in_features=5 + 2, num_cells=())

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import sys
 
+import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 
 from envs.demonstrations import StraightDriver
 from recipes.results import conditions_table as module
 from recipes.results.conditions import condition
 from recipes.results.evaluate import evaluate
+from recipes.results.files import read_evaluation
 from recipes.results.systems import untrained
+from tests._results import fabricate
 
 STRAIGHT = untrained("straight", lambda robot: StraightDriver(robot=robot, scaled=True))
 
@@ -39,6 +43,24 @@ def test_the_page_shows_what_fails_most_first(output, tmp_path):
     rates = [evaluations[name].values("success").mean() for name in shown]
     assert 1 <= len(shown) <= 2 and rates == sorted(rates) and max(rates) < 1
     assert (tmp_path / "page.png").stat().st_size > 10_000
+
+
+def test_what_another_seed_fails_is_shown(tmp_path, monkeypatch):
+    """The first training seed always arrives; of the second, one preference does not, in one scene."""
+    evaluation = read_evaluation(fabricate(tmp_path, "OUR", "static"))
+    success = evaluation.values("success")
+    success[1, 2, 3] = 0
+    evaluation.values("timeout")[1, 2, 3] = 1
+    saved = []
+    monkeypatch.setattr(plt.Figure, "savefig", lambda figure, path, **_: saved.append(figure))
+    assert module.failures_page(tmp_path / "x.png", {"static": evaluation}, panels=4) == ["static"]
+    (panel, *_) = saved[0].axes
+    paths = [
+        line for line in panel.lines if len(line.get_xdata()) > 1 and line.get_color() == "0.4"
+    ]
+    assert len(paths) == 1
+    expected = evaluation.trajectories["position"][1, 2, 3]
+    np.testing.assert_allclose(paths[0].get_xydata(), expected)
 
 
 def test_from_the_command_line_nothing_is_overwritten(output, monkeypatch, capsys):

@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 from recipes.objectives import OBJECTIVES
 from recipes.results import corners
 from recipes.results.files import read_evaluation
-from recipes.results.qualitative import Column
+from recipes.results.panels import Column
 from tests._results import fabricate
 
 

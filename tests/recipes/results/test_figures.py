@@ -13,7 +13,8 @@ from matplotlib.colors import to_rgb
 from recipes.objectives import OBJECTIVES, edge_map, preference_colors
 from recipes.results import figures
 from recipes.results.files import read_evaluation
-from recipes.results.qualitative import Column, pick_scenes, qualitative_figure
+from recipes.results.panels import Column
+from recipes.results.qualitative import pick_scenes, qualitative_figure
 from recipes.results.quantitative import corner_tests, quantitative_figure
 from tests._results import fabricate
 

@@ -13,6 +13,7 @@ from torch import nn
 from torchrl.collectors import Collector
 from torchrl.objectives import BCLoss
 
+from recipes.training import run_folder
 from tests._toy import begun, only_line, run, written
 from torchrl_morl.testing import VectorRewardMockEnv
 
@@ -69,6 +70,38 @@ def test_a_run_may_go_on_in_its_own_folder(toy, tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "x").write_text("")
     assert run(toy, "resume=run", "hydra.run.dir=other") == 2
+
+
+def test_a_run_under_way_is_left_alone(toy, tmp_path, capsys):
+    begun(tmp_path / "run")
+    before = written(tmp_path)
+    toy.act = lambda cfg: pytest.fail("it runs")
+    with run_folder.held(tmp_path / "run"):
+        assert run(toy, "resume=run") == 2
+    assert only_line(capsys) == (
+        "error: run is being trained by another process: wait until it ends, or stop it."
+    )
+    assert written(tmp_path) == before
+
+    def goes_on(cfg):
+        busy = pytest.raises(ValueError, match="is being trained by another process")
+        with busy, run_folder.held(tmp_path / "run"):
+            pytest.fail("two at once")
+
+    toy.act = goes_on
+    assert run(toy, "resume=run") == 0
+    with run_folder.held(tmp_path / "run"):  # it is free again
+        pass
+
+
+def test_a_new_run_is_held_too(toy, tmp_path):
+    def act(cfg):
+        busy = pytest.raises(ValueError, match="is being trained by another process")
+        with busy, run_folder.held(tmp_path / "new"):
+            pytest.fail("two at once")
+
+    toy.act = act
+    assert run(toy, "hydra.run.dir=new") == 0
 
 
 def test_plus_resume_is_resume(toy, tmp_path, capsys):

@@ -2,12 +2,45 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+import threading
 
 import pytest
 
+from recipes.training.stopping import stop_signals
 from tests._toy import only_line, run
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_handlers_come_back(fails):
+    """Whoever sets others in the block, and however it ends; in another thread nothing is touched."""
+
+    def handlers() -> list:
+        return [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
+
+    before, end = handlers(), pytest.raises(OSError) if fails else contextlib.nullcontext()
+    with end, stop_signals(signal.SIG_IGN):
+        assert handlers() == [signal.SIG_IGN] * 2
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        if fails:
+            raise OSError
+    assert handlers() == before
+    with stop_signals():
+        assert handlers() == before
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    assert handlers() == before
+    seen = []
+
+    def elsewhere() -> None:
+        with stop_signals(signal.SIG_IGN):
+            seen.extend(handlers())
+
+    thread = threading.Thread(target=elsewhere)
+    thread.start()
+    thread.join()
+    assert seen == before
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

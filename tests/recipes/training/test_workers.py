@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -22,11 +23,18 @@ from tensordict import TensorDict
 from recipes.mo_ppo import mo_ppo
 from recipes.pd_morl import pd_morl
 from recipes.training import on_policy
-from recipes.training.cluster import join_cluster
+from recipes.training.cluster import _wait_for_cpus, join_cluster
 from recipes.training.ppo import NoiseScale, make_policy
 from recipes.training.task import make_worker_env
 from recipes.training.validation import ConfigurationError, check_surroundings
-from recipes.training.workers import WorkerEnv, WorkerLost, Workers, worker_seed
+from recipes.training.workers import (
+    WorkerCollector,
+    WorkerEnv,
+    WorkerLost,
+    Workers,
+    _reason,
+    worker_seed,
+)
 from tests._command import run_here
 from tests._mo_ppo import TINY
 from tests._workers import TWO, configuration, needs_ray, task_and_policy
@@ -88,6 +96,16 @@ def test_the_same_seed_gives_a_worker_the_same_drives(tmp_path):
         (
             ("collector.num_workers=2",),
             "collector.num_workers must be 1 with collector.backend=direct",
+        ),
+        (
+            ("collector.worker_cpus=2",),
+            "collector.worker_cpus must be 1 with collector.backend=direct, where the process of the "
+            "training collects, got 2: give collector.backend=ray.",
+        ),
+        (
+            ("collector.ray_address=auto",),
+            "collector.ray_address must be null with collector.backend=direct, where the process of "
+            "the training collects, got auto: give collector.backend=ray.",
         ),
         (
             ("collector.backend=ray", "collector.num_workers=3"),
@@ -212,11 +230,60 @@ def test_a_busy_cluster_is_waited_for_and_then_named(collecting, monkeypatch):
     import ray
 
     monkeypatch.setattr("recipes.training.cluster.PATIENCE", 1.0)
-    monkeypatch.setattr(ray, "available_resources", lambda: {"CPU": 1.0})
+    monkeypatch.setattr(
+        ray._private.state, "available_resources_per_node", lambda: {"a": {"CPU": 1.0}}
+    )
     with pytest.raises(
-        ConnectionError, match=r"cluster is busy: 1 of its .* after 1 seconds, 2 wor"
+        ConnectionError, match=r"cluster is busy: its machines have 1 CPUs free after 1 seconds"
     ):
         iter(collecting()[0])
+
+
+def machines(totals: list[float], free: list[float]) -> SimpleNamespace:
+    """What Ray says of a cluster; a machine whose CPUs are all taken names none."""
+    left = {str(one): {"CPU": cpus} if cpus else {} for one, cpus in enumerate(free)}
+    return SimpleNamespace(
+        nodes=lambda: [{"Alive": True, "Resources": {"CPU": cpus}} for cpus in totals],
+        available_resources=lambda: {"CPU": sum(free)},
+        _private=SimpleNamespace(state=SimpleNamespace(available_resources_per_node=lambda: left)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("free", "workers", "cpus", "fits"),
+    [
+        ([4.0, 0.0], 1, 4, True),
+        ([2.0, 2.0], 1, 4, False),  # enough, but on no machine
+        ([3.0, 3.0], 2, 3, True),
+        ([3.0, 3.0], 3, 2, False),
+        ([4.0, 2.0], 3, 2, True),
+    ],
+)
+def test_a_worker_has_its_cpus_on_one_machine(free, workers, cpus, fits, monkeypatch):
+    monkeypatch.setattr("recipes.training.cluster.PATIENCE", 0.0)
+    ray = machines([4.0, 4.0], free)
+    if fits:
+        _wait_for_cpus(ray, workers, cpus)
+        return
+    with pytest.raises(ConnectionError) as busy:
+        _wait_for_cpus(ray, workers, cpus)
+    each = ", ".join(f"{one:.0f}" for one in free)
+    room = sum(int(one) // cpus for one in free)
+    assert str(busy.value) == (
+        f"the cluster is busy: its machines have {each} CPUs free after 0 seconds, room for {room} of "
+        f"collector.num_workers={workers} with collector.worker_cpus={cpus}."
+    )
+
+
+def test_a_cluster_without_machines_is_not_called_too_small():
+    """Those that are too busy to answer Ray count as dead."""
+    with pytest.raises(ConnectionError, match="has no machine that answers: start it anew"):
+        _wait_for_cpus(machines([], []), 1, 1)
+
+
+def test_machines_that_never_have_room_are_refused():
+    with pytest.raises(ValueError, match=r"num_workers=1 of .*worker_cpus=5 do not fit into"):
+        _wait_for_cpus(machines([4.0, 4.0], [4.0, 4.0]), 1, 5)
 
 
 def descendants(process: int) -> set[int]:
@@ -305,6 +372,115 @@ def test_mo_ppo_loses_a_worker_and_goes_on(cluster, tmp_path, monkeypatch):
     )
     # What came after was collected in new episodes, of other seeds.
     assert [workers.frames for workers in started] == [96, 128]
+
+
+def errors_of_ray() -> dict[str, Exception]:
+    from ray import exceptions as raised
+
+    return {
+        "lost": raised.ObjectLostError("abc", None, "somewhere"),
+        "owner": raised.OwnerDiedError("abc", None, "somewhere"),
+        "full": raised.ObjectStoreFullError("no room"),
+        "memory": raised.OutOfMemoryError("a node is low on memory\nTop 10 processes"),
+        "raylet": raised.LocalRayletDiedError(),
+        "system": raised.RaySystemError("connection refused\nsecond line"),
+        "away": raised.ActorUnavailableError("the network is away", None),
+        "died": raised.ActorDiedError(),
+        "task": raised.RayTaskError("next", "traceback", raised.ObjectLostError("a", None, "b")),
+    }
+
+
+@needs_ray
+@pytest.mark.parametrize(
+    ("kind", "line"),
+    [
+        ("lost", "has lost what it was sending (ObjectLostError): a machine is gone or cut off"),
+        ("owner", "has lost what it was sending (OwnerDiedError): a machine is gone or cut off"),
+        (
+            "full",
+            "has failed (ObjectStoreFullError): a machine is out of memory or disk, free some or take "
+            "a smaller collector.frames_per_batch",
+        ),
+        (
+            "memory",
+            "has failed (OutOfMemoryError): a machine is out of memory or disk, free some or take a "
+            "smaller collector.frames_per_batch",
+        ),
+        (
+            "raylet",
+            "has failed (LocalRayletDiedError: The task's local raylet died. Check raylet.out for more "
+            "information.): start the cluster of Ray anew",
+        ),
+        (
+            "system",
+            "has failed (RaySystemError: System error: connection refused): start the cluster of Ray anew",
+        ),
+        ("away", "cannot be reached: its machine or the network is gone"),
+        ("died", "has died: killed, out of memory, or its machine is gone"),
+    ],
+)
+def test_whatever_ray_raises_is_one_line_that_says_what_to_do(kind, line):
+    assert _reason(errors_of_ray()[kind]) == line
+
+
+@needs_ray
+def test_what_a_worker_itself_could_not_fetch_is_one_line():
+    line = _reason(errors_of_ray()["task"])
+    assert line.startswith("has failed: ObjectLostError: Failed to retrieve") and "\n" not in line
+
+
+class Here:
+    """A worker in this process, with the calls that the learner makes of one of Ray."""
+
+    def __init__(self, workers: Workers, seed: int) -> None:
+        cfg, policy = workers.cfg.collector, copy.deepcopy(workers.policy)
+        env = WorkerEnv(workers.problem.make_env, seed, 2, 1, workers.transform)()
+        batches = iter(WorkerCollector(env, policy, frames_per_batch=cfg.frames_per_batch // 2))
+        weights = TensorDict.from_module(policy).data
+        self.next = SimpleNamespace(remote=lambda: next(batches))
+        self.update_policy_weights_ = SimpleNamespace(remote=weights.update_)
+
+
+@needs_ray
+@pytest.mark.parametrize(
+    ("kind", "call"), [("lost", "get"), ("full", "put"), ("system", "shutdown"), ("away", "get")]
+)
+def test_whatever_ray_raises_keeps_what_was_learned(tmp_path, monkeypatch, kind, call):
+    """A cluster that is gone fails in the end of its workers once more, which hides nothing."""
+    import ray
+
+    error, folder = errors_of_ray()[kind], tmp_path / "run"
+
+    def fail(*_: object) -> None:
+        raise error
+
+    def start(workers: Workers) -> None:
+        workers._collector = SimpleNamespace(
+            remote_collectors=[Here(workers, seed) for seed in (3, 4)], shutdown=lambda: None
+        )
+        if call == "shutdown":
+            workers._collector.shutdown = fail
+
+    monkeypatch.setattr(Workers, "_start", start)
+    monkeypatch.setattr(ray, "put", lambda value: value)
+    monkeypatch.setattr(ray, "get", lambda value: value)
+    log = on_policy.logs.log_metrics
+
+    def then_fail(loggers, metrics, frames):
+        log(loggers, metrics, frames)
+        if frames == 96:
+            monkeypatch.setattr(ray, "get" if call == "shutdown" else call, fail)
+
+    monkeypatch.setattr(on_policy.logs, "log_metrics", then_fail)
+    tiny = [one for one in TINY if "evaluation.interval" not in one]
+    with pytest.raises(WorkerLost) as lost:
+        run_here(mo_ppo.main, "preset=nothing", *tiny, *TWO, f"hydra.run.dir={folder}")
+    line = str(lost.value)
+    assert line.endswith("; 96 steps are saved") and "\n" not in line
+    who = "the learner has" if call == "put" else "worker 1 of 2 "
+    assert line.startswith(who) and _reason(error) in line
+    names = [path.name for path in (folder / "checkpoints").iterdir()]
+    assert names == ["checkpoint-000000000096"]
 
 
 @needs_ray

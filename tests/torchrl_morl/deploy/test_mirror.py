@@ -9,7 +9,14 @@ from torchrl_morl.deploy import Sensing
 from torchrl_morl.deploy.features import observation, observation_parts
 from torchrl_morl.deploy.mirror import mirror_action, mirror_observation
 
-KINDS = ({"observe_human": False}, {}, {"observe_human_velocity": True})
+KINDS = (
+    {"observe_human": False},
+    {},
+    {"observe_human_velocity": True},
+    {"observe_nobody": True},
+    {"observe_human": False, "observe_robot": True},
+    {"observe_human_velocity": True, "observe_nobody": True, "observe_robot": True},
+)
 SIDE = torch.tensor([1.0, -1.0])
 
 
@@ -18,15 +25,20 @@ def test_the_features_of_a_mirrored_world_are_the_mirrored_features(kind):
     """Sectors the other way around; bearings and the velocity to the left with the other sign."""
     lidar = 0.2 + 3.8 * torch.rand(7, 30)
     goal, human = torch.rand(2, 7, 2) * torch.tensor([4.0, 6.0]) - torch.tensor([0.0, 3.0])
-    velocity = torch.randn(7, 2)
-    sensing = Sensing(**kind)
-    seen = observation(sensing, lidar=lidar, goal=goal, human=human, human_velocity=velocity)
+    velocity, nobody = torch.randn(7, 2), torch.randint(2, (7, 1)).float()
+    # The lidar of some is behind the rotation centre.
+    robot = torch.rand(7, 6) + torch.tensor([0.1, 0.1, 0.1, 3.0, 3.0, -0.5])
+    sensing, same = Sensing(**kind), {"nobody": nobody, "robot": robot}
+    seen = observation(
+        sensing, lidar=lidar, goal=goal, human=human, human_velocity=velocity, **same
+    )
     image = observation(
         sensing,
         lidar=lidar.flip(-1),
         goal=goal * SIDE,
         human=human * SIDE,
         human_velocity=velocity * SIDE,
+        **same,
     )
     parts = observation_parts(**kind)
     torch.testing.assert_close(mirror_observation(seen, parts), image)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -10,7 +11,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from torchrl_morl.deploy import LidarGeometry, PolicyRunner, Sensing, export_onnx
+from torchrl_morl.deploy import LidarGeometry, Limits, PolicyRunner, Sensing, export_onnx
 from torchrl_morl.deploy.export import main
 from torchrl_morl.deploy.features import observation, policy_transforms
 from torchrl_morl.deploy.graph import PolicyGraph
@@ -176,6 +177,16 @@ def test_robots_that_are_refused(sensing, robot, message):
         with pytest.raises(ValueError, match=message) as caught:
             make(policy, lidar=LIDAR, robot=robot)
         assert "\n" not in str(caught.value)
+
+
+def test_one_robot_of_those_that_a_policy_drives():
+    reads, limits = SENSING.of_robot(ROBOT), Limits.of_robot(*ROBOT[1:3])
+    assert reads == dataclasses.replace(SENSING, lidar_origin=(ROBOT[-1], 0.0))
+    assert limits == Limits((0.0, ROBOT[1]), (-ROBOT[2], ROBOT[2]))
+    graph = PolicyGraph(untrained_policy(sensing=SENSING), lidar=LIDAR, robot=ROBOT)
+    assert (graph.sensing, graph.limits) == (reads, limits)
+    with pytest.raises(ValueError, match=r"limits: speed must be two finite .* \(0\.0, 0\.0\)"):
+        Limits.of_robot(0.0, 1.0)
 
 
 def test_a_page_refuses_what_it_has_no_input_for(policy, tmp_path):

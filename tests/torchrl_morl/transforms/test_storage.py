@@ -14,6 +14,8 @@ from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.testing import random_transitions
 from torchrl_morl.transforms import (
     CheckFinite,
+    HullRange,
+    InUnitsOf,
     PolarFeatures,
     PreferenceOverlay,
     PreferenceRelabel,
@@ -28,6 +30,8 @@ SPACE = PreferenceSpace(("core", "distance", "efficiency"), static={"core": 1.0}
 SIZE = 6
 TRANSFORMS = {
     "CheckFinite": lambda: CheckFinite(["observation", ("next", "reward")]),
+    "HullRange": lambda: HullRange("observation"),
+    "InUnitsOf": lambda: InUnitsOf("goal"),
     "PolarFeatures": lambda: PolarFeatures(["goal"], ["goal"]),
     "PreferenceOverlay": lambda: PreferenceOverlay(SPACE),
     "PreferenceRelabel": lambda: PreferenceRelabel(SPACE, 1.0, seed=0),
@@ -49,6 +53,7 @@ def data() -> TensorDict:
         torch.rand(SIZE, 2),
         torch.rand(SIZE, 3),
     )
+    data["robot"] = 0.1 + torch.rand(SIZE, 6)
     data["pixels"] = torch.zeros(SIZE, 120, 200, 3, dtype=torch.uint8)
     return data
 
