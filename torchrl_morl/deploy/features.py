@@ -223,7 +223,11 @@ def observation(
     if sensing.observe_human:
         parts.append(polar_features(human, sensing.human_scale))
     if sensing.observe_human_velocity:
-        parts.append(human_velocity / robot[..., TOP_SPEED, None] if sensing.observe_robot else human_velocity)
+        parts.append(
+            human_velocity / robot[..., TOP_SPEED, None]
+            if sensing.observe_robot
+            else human_velocity
+        )
     if sensing.observe_nobody:
         parts.append(nobody)
     if sensing.observe_robot:
@@ -308,7 +312,8 @@ class RowFeatures:
 
     def _of_hull(self, row: Tensor) -> Tensor:
         """The same row with ranges to the hull, velocities in units of the top speed, and a lidar that
-        sees no further than scans do."""
+        sees no further than scans do.
+        """
         row = row.clone()
         robot = self.robot_of(row)
         lidar = row.narrow(-1, 0, self.num_sectors)

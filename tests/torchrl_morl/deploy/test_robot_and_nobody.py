@@ -10,7 +10,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from torchrl_morl.deploy import LidarGeometry, PolicyRunner, Sensing, export_onnx
+from tests._any_robot import LIDAR, ROBOT, SENSING
+from torchrl_morl.deploy import PolicyRunner, Sensing, export_onnx
 from torchrl_morl.deploy.export import main
 from torchrl_morl.deploy.features import observation, policy_transforms
 from torchrl_morl.deploy.graph import PolicyGraph
@@ -18,9 +19,6 @@ from torchrl_morl.deploy.onnx_runner import OnnxRunner
 from torchrl_morl.deploy.policy_files import save_policy
 from torchrl_morl.testing import untrained_policy
 
-ROBOT = (0.25, 0.7, 2.0, 4.7, 8.0, 0.1)
-SENSING = Sensing(observe_human_velocity=True, observe_nobody=True, observe_robot=True)
-LIDAR = LidarGeometry(0.0, math.pi / 90, 180, 0.05, 8.0, (ROBOT[-1], 0.0, 0.0))
 PREFERENCE = (0.2, 0.3, 0.5)
 
 
