@@ -156,6 +156,16 @@ def test_a_preference_is_for_the_objectives_of_its_policy(call, page):
     assert call("motion", {**page, "policies": other}, "walks") == ["moving_humans", [0.5, 0.5]]
 
 
+def test_a_policy_that_knows_who_walks_and_who_stands_goes_on_with_both(call, page):
+    both = {**page["policies"]["navigation"], "walking": None}
+    for policies in (
+        {"both": both, "navigation": page["policies"]["navigation"]},
+        {"moving_humans": page["policies"]["moving_humans"], "both": both},
+    ):
+        for motion in ("stands", "walks"):
+            assert call("motion", {**page, "policies": policies}, motion)[0] == "both"
+
+
 def test_nobody_is_put_into_the_robot(call, page):
     x, y, _ = page["scenes"]["showcase"]["scenes"][0]["start"]
     room = page["robot"]["radius"] + 0.25 + 0.05

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
@@ -174,22 +173,3 @@ def test_robots_that_are_refused(sensing, robot, message):
         with pytest.raises(ValueError, match=message) as caught:
             make(policy, lidar=LIDAR, robot=robot)
         assert "\n" not in str(caught.value)
-
-
-def test_a_page_refuses_what_it_has_no_input_for(policy, tmp_path):
-    from recipes.page.contents import contents
-
-    folder = tmp_path / "any"
-    save_policy(
-        folder,
-        policy.actor,
-        preference_space=policy.preference_space,
-        sensing=SENSING,
-        limits=policy.limits,
-        period=policy.period,
-        robot="turtlebot2",
-        card={},
-    )
-    with pytest.raises(ValueError, match=r"sensing\.observe_robot must be false: a page"):
-        contents([folder], ["static"], num_scenes=1)
-    assert json.loads((folder / "policy.json").read_text())["sensing"]["observe_robot"] is True
