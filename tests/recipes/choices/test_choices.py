@@ -84,6 +84,14 @@ def test_outcomes_are_better_where_the_metric_is(drives):
     torch.testing.assert_close(far[..., 0], near[..., 0])
 
 
+def test_where_nobody_is_a_drive_keeps_its_distance(drives):
+    metrics = drives.metrics.clone()
+    metrics["min_human_distance"][:, 2] = torch.nan
+    raw = raw_outcomes(dataclasses.replace(drives, metrics=metrics))
+    assert (raw[2, :, 0] == 2.0).all()
+    assert raw.isfinite().all()
+
+
 def test_a_scene_that_is_edited_is_driven_anew(tmp_path):
     fields = "start: [0, 0, 0]\ngoal: [{goal}, 0]\nhuman: [3, 1]\n"
     path, words = tmp_path / "room.yaml", []
