@@ -167,6 +167,20 @@ def test_mistakes_are_one_line(arguments, message, monkeypatch, capsys, quick, t
     assert list((tmp_path / "here").iterdir()) == []
 
 
+def test_drives_that_never_arrive_are_one_line(tmp_path, monkeypatch, capsys, quick, drives):
+    metrics = drives.metrics.clone()
+    metrics["success"] = torch.zeros_like(metrics["success"])
+    failed = dataclasses.replace(drives, metrics=metrics)
+    setting = choose({})
+    monkeypatch.setattr(command, "obtain", lambda *_, **__: (failed, setting))
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        run(monkeypatch, "--answers", "1", "--output", tmp_path / "one")
+    said = capsys.readouterr().err
+    assert "the drives of this policy cannot be compared: outcomes" in said
+    assert said.count("\n") == 1
+
+
 def test_an_old_folder_is_kept(tmp_path, monkeypatch, capsys, quick):
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(SystemExit):
