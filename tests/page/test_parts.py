@@ -13,6 +13,7 @@ import pytest
 from envs import TURTLEBOT2
 from recipes.objectives import OBJECTIVES, preference_colors
 from recipes.page.contents import SHIPPED, contents
+from tests import _any_robot as any_robot
 
 from ._node import HERE, needs_node
 
@@ -164,6 +165,13 @@ def test_a_policy_that_knows_who_walks_and_who_stands_goes_on_with_both(call, pa
     ):
         for motion in ("stands", "walks"):
             assert call("motion", {**page, "policies": policies}, motion)[0] == "both"
+
+
+def test_previews_drive_the_robot_of_the_page(call, tmp_path):
+    folder = any_robot.save(tmp_path / "any")
+    driven, ahead = call("ahead", contents([folder], ["showcase"], num_scenes=1), [0.2, 0.5, 0.3])
+    assert driven == ahead
+    assert math.dist(driven[0], driven[-1]) > 0.2
 
 
 def test_nobody_is_put_into_the_robot(call, page):
