@@ -19,7 +19,10 @@ _OPTIONS = ("goal_radius", "timeout", "max_speed", "max_turn_rate")
 _BUFFER = (ctypes.c_char_p, ctypes.c_size_t)
 _ARRAY = (_DOUBLES, ctypes.c_size_t)
 _FUNCTIONS = {
-    "torchrl_morl_open": (ctypes.c_void_p, (ctypes.c_char_p, *_ARRAY, _DOUBLES, *_BUFFER)),
+    "torchrl_morl_open": (
+        ctypes.c_void_p,
+        (ctypes.c_char_p, *_ARRAY, _DOUBLES, _DOUBLES, *_BUFFER),
+    ),
     "torchrl_morl_step": (
         None,
         (
@@ -67,7 +70,13 @@ class CppRunner:
     """
 
     def __init__(
-        self, library: Path, policy: Path, *, lidar: LidarGeometry, **options: float
+        self,
+        library: Path,
+        policy: Path,
+        *,
+        lidar: LidarGeometry,
+        robot: Sequence[float] | None = None,
+        **options: float,
     ) -> None:
         self._library = ctypes.CDLL(str(library))
         for name, (result, arguments) in _FUNCTIONS.items():
@@ -81,6 +90,7 @@ class CppRunner:
             _doubles((*fields, *lidar.mount))[0],
             lidar.num_beams,
             _doubles(options)[0],
+            _doubles(robot)[0],
             error,
             len(error),
         )

@@ -21,17 +21,21 @@ void copy(const std::string& text, char* out, std::size_t size) {
 extern "C" {
 
 // lidar: first_angle, increment, range_min, range_max, and x, y, yaw of the mount. options: goal_radius, timeout,
-// max_speed, max_turn_rate, or null; NaN is the default. Returns null, and says why in error, where it cannot be done.
+// max_speed, max_turn_rate, or null; NaN is the default. robot, for policies that read which one it is, and null for
+// others: radius, top speed, top turn rate, and the lidar's view, range and distance ahead of the rotation centre.
+// Returns null, and says why in error, where it cannot be done.
 void* torchrl_morl_open(const char* folder, const double* lidar, std::size_t num_beams, const double* options,
-                        char* error, std::size_t error_size) {
+                        const double* robot, char* error, std::size_t error_size) {
   try {
     const auto option = [options](int index) {
       const bool given = options != nullptr && !std::isnan(options[index]);
       return given ? std::optional<double>(options[index]) : std::nullopt;
     };
+    std::optional<torchrl_morl::Robot> which;
+    if (robot) which = {robot[0], robot[1], robot[2], robot[3], robot[4], robot[5]};
     return new torchrl_morl::Runner(torchrl_morl::Policy(folder),
                                     {lidar[0], lidar[1], num_beams, lidar[2], lidar[3], {lidar[4], lidar[5], lidar[6]}},
-                                    {option(0), option(1), option(2), option(3)});
+                                    {option(0), option(1), option(2), option(3), which});
   } catch (const std::exception& problem) {
     copy(problem.what(), error, error_size);
     return nullptr;

@@ -13,8 +13,12 @@ int main(int count, char** arguments) {
   }
   using namespace torchrl_morl;
   try {
+    Policy policy(arguments[1]);
+    Options options;
+    // Your robot, for a policy that reads which one it drives: here a TurtleBot 2.
+    if (policy.sensing.observe_robot) options.robot = {0.177, 0.5, pi, 2 * pi, 3.5, 0.0};
     // The fields of your driver's LaserScan.
-    Runner runner(Policy(arguments[1]), {-pi, pi / 180, 360, 0.12, 3.5});
+    Runner runner(std::move(policy), {-pi, pi / 180, 360, 0.12, 3.5}, options);
     std::vector<double> preference;
     for (int i = 2; i < count; ++i) preference.push_back(std::atof(arguments[i]));
     Pose robot{0.0, 0.0, 0.0};

@@ -25,100 +25,9 @@
 #include <vector>
 
 #include "torchrl_morl_files.hpp"
-
-#ifdef __FAST_MATH__
-#error "-ffast-math takes NaN for a number: invalid beams and broken inputs would not be seen"
-#endif
+#include "torchrl_morl_sensing.hpp"
 
 namespace torchrl_morl {
-
-constexpr double pi = 3.14159265358979323846;
-// Share of a sector within which a beam before its start belongs to it: angles are rounded.
-constexpr double sector_edge = 1e-4;
-
-// m and rad, from the rotation centre.
-struct Polar {
-  double distance, bearing;
-};
-
-// m/s, over the ground, along the axes of the robot.
-struct Velocity {
-  double ahead, left;
-};
-
-// In any fixed frame, m and rad.
-struct Pose {
-  double x, y, heading;
-};
-
-inline std::string shown(double value) {
-  std::ostringstream out;
-  out.imbue(std::locale::classic());
-  out << value;
-  return out.str();
-}
-
-// Where the beams of a planar lidar point: the fields of sensor_msgs/LaserScan, and where it is mounted.
-//
-// range_min to range_max: an obstacle. Infinite, range_max and above: free. -inf: an obstacle at range_min. NaN, 0,
-// negative, below range_min: as if the beam did not exist.
-struct Lidar {
-  double first_angle, increment;
-  std::size_t num_beams;
-  double range_min, range_max;
-  Pose mount{0.0, 0.0, 0.0};
-
-  void check() const {
-    for (double value : {first_angle, increment, range_min, range_max, mount.x, mount.y, mount.heading})
-      if (!std::isfinite(value)) throw std::invalid_argument("lidar: every field must be finite");
-    if (num_beams < 1 || increment == 0.0)
-      throw std::invalid_argument("lidar: it needs beams, and an increment that is not 0");
-    if (std::abs(increment) * static_cast<double>(num_beams - 1) > 2 * pi + 1e-3)
-      throw std::invalid_argument("lidar: more beams than a revolution has: is the increment in radians?");
-    if (!(0 <= range_min && range_min < range_max))
-      throw std::invalid_argument("lidar: range_min must be between 0 and range_max, got " + shown(range_min));
-  }
-
-  // Shortest range in each sector around a point of the robot; NaN where no beam is valid.
-  std::vector<double> sectors(const std::vector<double>& ranges, std::size_t num_sectors, double max_range,
-                              double origin_x, double origin_y) const {
-    if (ranges.size() != num_beams)
-      throw std::invalid_argument("ranges must have " + std::to_string(num_beams) + " entries, one a beam, got " +
-                                  std::to_string(ranges.size()));
-    // Drivers report float32: their 0.12 is a little less than 0.12, and 0.12 all the same.
-    const double near = std::min(range_min, static_cast<double>(static_cast<float>(range_min)));
-    const double far = std::min(range_max, static_cast<double>(static_cast<float>(range_max)));
-    const double ahead = mount.x - origin_x, left = mount.y - origin_y;
-    const bool centred = std::hypot(ahead, left) < 1e-9;
-    std::vector<double> out(num_sectors, std::numeric_limits<double>::quiet_NaN());
-    for (std::size_t beam = 0; beam < num_beams; ++beam) {
-      const double range = ranges[beam];
-      const bool too_close = range == -std::numeric_limits<double>::infinity(), free = range >= far;
-      if (!too_close && !(range >= near && range > 0)) continue;
-      double length = too_close ? range_min : free ? max_range : range;
-      double angle = mount.heading + first_angle + increment * static_cast<double>(beam);
-      if (!centred) {
-        const double x = ahead + length * std::cos(angle), y = left + length * std::sin(angle);
-        angle = std::atan2(y, x);
-        length = free ? max_range : std::hypot(x, y);
-      }
-      length = std::min(length, max_range);
-      const double n = static_cast<double>(num_sectors);
-      const double sector = std::floor(angle * (n / (2 * pi)) + sector_edge);
-      double& shortest = out[static_cast<std::size_t>(sector - n * std::floor(sector / n)) % num_sectors];
-      if (!(shortest <= length)) shortest = length;  // NaN as well
-    }
-    return out;
-  }
-};
-
-// What a policy was trained to sense: see torchrl_morl.deploy.Sensing.
-struct Sensing {
-  std::size_t num_sectors = 0;
-  double max_range = 0, goal_scale = 0, human_scale = 0, unknown_range = 0;
-  std::pair<double, double> lidar_origin, goal_range, human_range, nobody;
-  bool observe_human = false, observe_human_velocity = false;
-};
 
 // A trained policy. Throws std::runtime_error, in one line, for files that are not what they should be.
 class Policy {
@@ -144,43 +53,60 @@ class Policy {
   std::vector<std::string> preference_names;  // order of a preference
 
   // Speed (m/s) and turn rate (rad/s). Throws std::invalid_argument for an input that is not finite, negative,
-  // missing or off the simplex.
+  // missing or off the simplex. which: robot it drives, for policies that read it.
   std::array<double, 2> act(const std::vector<double>& preference, const std::vector<double>& lidar, Polar goal,
-                            std::optional<Polar> human = {}, std::optional<Velocity> human_velocity = {}) const {
+                            std::optional<Polar> human = {}, std::optional<Velocity> human_velocity = {},
+                            std::optional<Robot> which = {}) const {
+    if (!sensing.observe_robot) which.reset();
+    sensing.check(which);
     if (lidar.size() != sensing.num_sectors)
       throw std::invalid_argument("lidar must have " + std::to_string(sensing.num_sectors) + " entries, got " +
                                   std::to_string(lidar.size()));
     std::vector<float> features;
     const float shortest = static_cast<float>(1e-3 / sensing.max_range);
-    for (double range : lidar) {
-      const float scaled = std::min(length("lidar", range), static_cast<float>(sensing.max_range)) /
-                           static_cast<float>(sensing.max_range);
-      features.push_back(std::log(std::max(scaled, shortest)) / 3.0f);
+    for (std::size_t sector = 0; sector < lidar.size(); ++sector) {
+      float range = std::min(length("lidar", lidar[sector]), static_cast<float>(sensing.max_range));
+      if (which) range = from_hull(range, sector, *which);
+      features.push_back(std::log(std::max(range / static_cast<float>(sensing.max_range), shortest)) / 3.0f);
     }
     add_polar(features, "goal", goal, sensing.goal_range.second, sensing.goal_scale);
-    if (sensing.observe_human) {
-      const Polar seen = human.value_or(Polar{sensing.nobody.first, sensing.nobody.second});
-      add_polar(features, "human", seen, sensing.human_range.second, sensing.human_scale);
-    }
+    const Polar nobody{sensing.nobody.first, sensing.nobody.second}, seen = human.value_or(nobody);
+    if (sensing.observe_human) add_polar(features, "human", seen, sensing.human_range.second, sensing.human_scale);
     if (sensing.observe_human_velocity) {
       if (human && !human_velocity)
         throw std::invalid_argument(
             "this policy reads the human's velocity: give it, ahead and to the left in m/s, or odometry to "
             "Runner::step");
       const Velocity moving = human_velocity.value_or(Velocity{0.0, 0.0});
-      features.push_back(finite("human_velocity", moving.ahead));
-      features.push_back(finite("human_velocity", moving.left));
+      const float unit = which ? static_cast<float>(which->top_speed) : 1.0f;
+      features.push_back(finite("human_velocity", moving.ahead) / unit);
+      features.push_back(finite("human_velocity", moving.left) / unit);
     }
+    if (sensing.observe_nobody) {
+      // Distances beyond those of the training read as the furthest of them, that of nobody as well.
+      const auto read = [this](Polar at) {
+        const double near = std::min(at.distance, sensing.human_range.second);
+        return std::make_pair(static_cast<float>(near), static_cast<float>(at.bearing));
+      };
+      features.push_back(read(seen) == read(nobody) ? 1.0f : 0.0f);
+    }
+    if (which) add_robot(features, *which);
     add_preference(features, preference);
     const std::vector<float> action = run(std::move(features));
     std::array<double, 2> command{};
+    const auto limits = limits_of(which);
     for (std::size_t i = 0; i < 2; ++i) {
-      const float low = static_cast<float>(i ? turn_rate.first : speed.first);
-      const float high = static_cast<float>(i ? turn_rate.second : speed.second);
+      const float low = static_cast<float>(limits[i].first), high = static_cast<float>(limits[i].second);
       command[i] = static_cast<double>((high + low) / 2 + (high - low) / 2 * std::tanh(action[i]));
       if (!std::isfinite(command[i])) throw std::invalid_argument("the policy's command is not finite");
     }
     return command;
+  }
+
+  // Lowest and highest speed (m/s) and turn rate (rad/s): those of the robot where the policy reads which it is.
+  std::array<std::pair<double, double>, 2> limits_of(const std::optional<Robot>& which) const {
+    if (!which) return {speed, turn_rate};
+    return {std::pair{0.0, which->top_speed}, std::pair{-which->top_turn_rate, which->top_turn_rate}};
   }
 
  private:
@@ -205,6 +131,21 @@ class Policy {
     const float distance = std::min(length(name, at.distance), static_cast<float>(furthest));
     const float bearing = finite(name, at.bearing);
     features.insert(features.end(), {distance / static_cast<float>(scale), std::sin(bearing), std::cos(bearing)});
+  }
+  // The free distance along the middle of a sector.
+  float from_hull(float range, std::size_t sector, const Robot& which) const {
+    const float width = static_cast<float>(2 * pi / static_cast<double>(sensing.num_sectors));
+    const float angle = (static_cast<float>(sector) + 0.5f) * width;
+    const float ahead = static_cast<float>(which.ahead) + range * std::cos(angle), left = range * std::sin(angle);
+    return std::max(std::sqrt(ahead * ahead + left * left) - static_cast<float>(which.radius), 1e-3f);
+  }
+  void add_robot(std::vector<float>& features, Robot which) const {
+    // What becomes 1: see torchrl_morl.transforms.robot. A lidar that sees further reads as one that sees as far.
+    constexpr std::array<double, 6> scales{0.25, 1.0, pi, 2 * pi, 10.0, 0.25};
+    which.range = std::min(which.range, sensing.max_range);
+    const std::array<double, 6> numbers = which.numbers();
+    for (std::size_t i = 0; i < scales.size(); ++i)
+      features.push_back(finite("robot", numbers[i]) / static_cast<float>(scales[i]));
   }
   void add_preference(std::vector<float>& features, const std::vector<double>& preference) const {
     if (preference.size() != preference_names.size())
@@ -252,9 +193,11 @@ class Policy {
     sensing.observe_human = entries.flag("observe_human");
     sensing.observe_human_velocity = entries.flag("observe_human_velocity");
     // Files from before there were these lack them.
-    for (const char* name : {"observe_robot", "observe_nobody"})
-      if (entries.has(name) && entries.flag(name))
-        throw files::broken("sensing", std::string(name) + " must be false: C++ has no such input, export to ONNX");
+    sensing.observe_nobody = entries.has("observe_nobody") && entries.flag("observe_nobody");
+    sensing.observe_robot = entries.has("observe_robot") && entries.flag("observe_robot");
+    if (!sensing.observe_human && (sensing.observe_human_velocity || sensing.observe_nobody))
+      throw files::broken("sensing", std::string(sensing.observe_nobody ? "observe_nobody" : "observe_human_velocity") +
+                                         " must be false where observe_human is");
     if (entries.integer("history") != 1)
       throw files::broken("sensing", "history must be 1: this version has no memory");
     speed = config.object("limits").pair("speed");
@@ -278,8 +221,7 @@ class Policy {
     std::vector<double> sizes = network.numbers("num_cells");
     for (double size : sizes)
       if (!(size >= 1 && size <= 16777216.0)) throw files::broken(where, "num_cells must be between 1 and 16777216");
-    std::size_t inputs = sensing.num_sectors + 3 + 3 * sensing.observe_human + 2 * sensing.observe_human_velocity +
-                         preference_names.size();
+    std::size_t inputs = sensing.observation_size() + preference_names.size();
     sizes.push_back(2);
     for (std::size_t index = 0; index < sizes.size(); ++index) {
       const std::string name = "module.0.module." + std::to_string(2 * index);

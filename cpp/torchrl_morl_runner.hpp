@@ -19,29 +19,35 @@ struct Options {
   std::optional<double> timeout;        // s, after which an input is too old
   std::optional<double> max_speed;      // m/s; lowered together with the turn rate: the same arc, more slowly
   std::optional<double> max_turn_rate;  // rad/s
+  std::optional<Robot> robot;           // which one it is, for policies that read it and for no other
 };
 
 // One step() a control period. It stops, with speed and turn rate 0, for these reasons: "goal reached", "clock",
 // "stale", "no scan", "no goal", "refused".
 class Runner {
  public:
-  Runner(Policy with, Lidar from, Options options = {}) : policy(std::move(with)), lidar(from) {
+  Runner(Policy with, Lidar from, Options options = {})
+      : policy(std::move(with)), lidar(from), robot(options.robot), origin_(policy.sensing.lidar_origin) {
     lidar.check();
     const Sensing& sensing = policy.sensing;
     if (std::abs(lidar.increment) > 2 * pi / static_cast<double>(sensing.num_sectors) * (1 + sector_edge))
       throw std::invalid_argument("lidar: too few beams: the policy needs at least " +
                                   std::to_string(sensing.num_sectors) + " a revolution");
+    sensing.check(robot);
+    if (robot) origin_ = {robot->ahead, 0.0};  // of such a policy, ranges are those of the lidar where it is
+    const auto limits = policy.limits_of(robot);
     const auto fastest = [](std::pair<double, double> limit) {
       return std::max(std::abs(limit.first), std::abs(limit.second));
     };
     goal_radius = positive("goal_radius", options.goal_radius.value_or(sensing.goal_range.first));
     timeout = positive("timeout", options.timeout.value_or(policy.period));
-    max_speed = positive("max_speed", options.max_speed.value_or(fastest(policy.speed)));
-    max_turn_rate = positive("max_turn_rate", options.max_turn_rate.value_or(fastest(policy.turn_rate)));
+    max_speed = positive("max_speed", options.max_speed.value_or(fastest(limits[0])));
+    max_turn_rate = positive("max_turn_rate", options.max_turn_rate.value_or(fastest(limits[1])));
   }
 
   Policy policy;
   Lidar lidar;
+  std::optional<Robot> robot;
   double goal_radius, timeout, max_speed, max_turn_rate;
 
   // Command for the next control period; it throws for nothing that it is given.
@@ -67,15 +73,15 @@ class Runner {
     bool seen = false;
     try {
       const Sensing& sensing = policy.sensing;
-      std::vector<double> sectors = lidar.sectors(*ranges, sensing.num_sectors, sensing.max_range,
-                                                  sensing.lidar_origin.first, sensing.lidar_origin.second);
+      std::vector<double> sectors =
+          lidar.sectors(*ranges, sensing.num_sectors, sensing.max_range, origin_.first, origin_.second);
       for (double& range : sectors) {
         seen = seen || !std::isnan(range);
         if (std::isnan(range)) range = sensing.unknown_range;
       }
       if (human) check(*human);
       if (human && !human_velocity && odometry) human_velocity = velocity_of(*human, *odometry, stamp);
-      command = policy.act(preference, sectors, *goal, human, human ? human_velocity : std::nullopt);
+      command = policy.act(preference, sectors, *goal, human, human ? human_velocity : std::nullopt, robot);
     } catch (const std::exception& error) {
       return stop("refused", error.what());
     }
@@ -124,6 +130,7 @@ class Runner {
     return {0.0, 0.0, reason, detail, time_ ? *time_ + timeout : std::numeric_limits<double>::infinity()};
   }
 
+  std::pair<double, double> origin_;  // of ranges, x and y
   std::optional<double> time_;
   std::optional<Seen> human_;
   Velocity velocity_{0.0, 0.0};  // along the axes of the fixed frame: east and north

@@ -30,7 +30,7 @@ function start() {
   const session = new Session(contents);
   const floor = new Floor(byId("floor"), session);
   const hand = new Hand();
-  const previews = new Previews(byId("program").textContent, contents.policies);
+  const previews = new Previews(byId("program").textContent, contents);
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   let theme;
   let ended = 0;

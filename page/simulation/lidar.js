@@ -34,7 +34,8 @@ export function scan(body, robot, human, boxes, maxRange) {
   }
   for (let ray = 0; ray < NUM_RAYS; ray++) {
     const angle = STEP * ray;
-    if (Math.min(angle, 2 * Math.PI - angle) > robot.lidar_fov / 2 + 1e-9) ranges[ray] = maxRange;
+    const outside = Math.min(angle, 2 * Math.PI - angle) > robot.lidar_fov / 2 + 1e-9;
+    if (outside || ranges[ray] > robot.lidar_range) ranges[ray] = maxRange;
   }
   return ranges;
 }

@@ -36,13 +36,29 @@ function readLayers(file) {
     }));
 }
 
-/** `description` is what a policy.json holds beside its card, `file` the bytes of its policy.safetensors. */
+// What becomes 1 of a robot's numbers, and how they are called: torchrl_morl/transforms/robot.py.
+const ROBOT_SCALES = {
+  radius: 0.25,
+  max_speed: 1,
+  max_turn_rate: Math.PI,
+  lidar_fov: 2 * Math.PI,
+  lidar_range: 10,
+  lidar_offset: 0.25,
+};
+const SMALLEST_RANGE = 1e-3;
+
+/**
+ * `description` is what a policy.json holds beside its card, `file` the bytes of its policy.safetensors, `robot` the one
+ * that it drives.
+ */
 export class Policy {
-  constructor(description, file) {
+  constructor(description, file, robot) {
     this.sensing = description.sensing;
-    for (const name of ["observe_robot", "observe_nobody"])
-      if (this.sensing[name]) throw new Error(`sensing.${name} must be false: a page has no such input.`);
-    this.limits = description.limits;
+    this.robot = robot;
+    // Of a policy that knows its robot, actions are shares of that robot's limits.
+    this.limits = this.sensing.observe_robot
+      ? { speed: [0, robot.max_speed], turn_rate: [-robot.max_turn_rate, robot.max_turn_rate] }
+      : description.limits;
     /** Names of the objectives that a preference weighs, in its order. */
     this.tunable = description.objectives.filter((name) => !(name in description.static));
     this.layers = readLayers(file);
@@ -56,17 +72,37 @@ export class Policy {
    */
   observation({ scan, goal, human, humanVelocity }, { clamped = false } = {}) {
     const s = this.sensing;
-    const out = Array.from(sectors(scan, s.num_sectors), (range) =>
-      Math.log(Math.max(range / s.max_range, 1e-3 / s.max_range)) / 3,
-    );
-    const position = ([distance, bearing], scale, furthest) => {
-      const near = clamped ? Math.min(distance, furthest) : distance;
-      out.push(near / scale, Math.sin(bearing), Math.cos(bearing));
-    };
+    const near = (distance, furthest) => (clamped ? Math.min(distance, furthest) : distance);
+    const out = Array.from(sectors(scan, s.num_sectors), (range, sector) => {
+      const free = s.observe_robot ? this.#fromHull(near(range, s.max_range), sector) : range;
+      return Math.log(Math.max(free, SMALLEST_RANGE) / s.max_range) / 3;
+    });
+    const position = ([distance, bearing], scale, furthest) =>
+      out.push(near(distance, furthest) / scale, Math.sin(bearing), Math.cos(bearing));
     position(goal, s.goal_scale, s.goal_range[1]);
     if (s.observe_human) position(human, s.human_scale, s.human_range[1]);
-    if (s.observe_human_velocity) out.push(...humanVelocity);
+    if (s.observe_human_velocity) {
+      const unit = s.observe_robot ? this.robot.max_speed : 1;
+      out.push(...humanVelocity.map((speed) => speed / unit));
+    }
+    if (s.observe_nobody) {
+      const read = ([distance, bearing]) => [near(distance, s.human_range[1]), bearing].map(Math.fround);
+      const nobody = read(s.nobody);
+      out.push(read(human).every((value, entry) => value === nobody[entry]) ? 1 : 0);
+    }
+    if (s.observe_robot) {
+      // A lidar that sees further than scans are cut off at reads as one that sees as far.
+      const robot = { ...this.robot, lidar_range: Math.min(this.robot.lidar_range, s.max_range) };
+      for (const [name, scale] of Object.entries(ROBOT_SCALES)) out.push(robot[name] / scale);
+    }
     return out;
+  }
+
+  // Along the middle of a sector, from the hull of the robot in place of its lidar.
+  #fromHull(range, sector) {
+    const angle = (sector + 0.5) * ((2 * Math.PI) / this.sensing.num_sectors);
+    const ahead = this.robot.lidar_offset + range * Math.cos(angle);
+    return Math.hypot(ahead, range * Math.sin(angle)) - this.robot.radius;
   }
 
   /** The network alone: an observation and a preference to an action in [-1, 1]. */
@@ -102,8 +138,8 @@ export function bytes(base64) {
   return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
 }
 
-/** Policies of a page by name, ready to act; `entries` is what the page holds of them. */
-export function readPolicies(entries) {
-  const read = ([name, entry]) => [name, new Policy(entry, bytes(entry.weights))];
+/** Policies of a page by name, ready to act on its robot; `entries` is what the page holds of them. */
+export function readPolicies(entries, robot) {
+  const read = ([name, entry]) => [name, new Policy(entry, bytes(entry.weights), robot)];
   return Object.fromEntries(Object.entries(entries).map(read));
 }

@@ -12,7 +12,7 @@ const MOST_GHOSTS = 6;
 export class Session {
   constructor(contents) {
     this.contents = contents;
-    this.policies = readPolicies(contents.policies);
+    this.policies = readPolicies(contents.policies, contents.robot);
     this.policyName = Object.keys(contents.policies)[0];
     this.preference = this.policy.tunable.map(() => 1 / this.policy.tunable.length);
     this.playing = true;
@@ -227,8 +227,10 @@ export class Session {
   #takeMotion(motion) {
     this.motion = motion;
     const walking = motion !== "stands";
-    const fits = Object.entries(this.contents.policies).find(([, one]) => one.walking === walking);
-    if (fits && this.entry.walking !== walking) this.#use(fits[0]);
+    // Null: it knows both, people who stand and people who walk.
+    const fits = (one) => one.walking === null || one.walking === walking;
+    const found = Object.entries(this.contents.policies).find(([, one]) => fits(one));
+    if (found && !fits(this.entry)) this.#use(found[0]);
   }
 
   // A preference is for the objectives of its policy.

@@ -8,7 +8,7 @@ export function serve(scope) {
   let policies;
   scope.onmessage = ({ data }) => {
     if (data.policies) {
-      policies = readPolicies(data.policies);
+      policies = readPolicies(data.policies, data.robot);
       return;
     }
     const { number, moment, name, preference, clamped } = data;
@@ -44,10 +44,10 @@ function furthest(ways, corner) {
 
 /** Asks a worker that runs the page's own script; one question at a time, the latest. */
 export class Previews {
-  constructor(script, policies) {
+  constructor(script, { policies, robot }) {
     const address = URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
     this.worker = new Worker(address);
-    this.worker.postMessage({ policies });
+    this.worker.postMessage({ policies, robot });
     this.number = 0;
     this.busy = false;
     this.waiting = null;

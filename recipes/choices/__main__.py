@@ -95,7 +95,10 @@ def main() -> None:
         dialogue = resumed(args.resume, args.drives) if args.resume else started(args)
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    converse(dialogue, answers, questions=args.questions, show=args.open)
+    try:
+        converse(dialogue, answers, questions=args.questions, show=args.open)
+    except ValueError as error:  # of drives that never arrive there are no two to choose from
+        parser.error(f"the drives of this policy cannot be compared: {error}")
     written = dialogue.finish()
     print("\n".join(dialogue.lines()))
     print("\n".join(f"written: {path}" for path in written))

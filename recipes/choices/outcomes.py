@@ -50,6 +50,9 @@ class Outcomes:
 def outcomes_of(policy_folder: Path, *, drives: Path = DRIVES) -> Outcomes:
     """Outcomes of a policy in the scenes that ``python -m recipes.choices`` asks about by default.
 
+    With one robot and one human, as a page has: where every episode draws a robot it is a TurtleBot 2,
+    where people have ways of their own it is ``static``.
+
     From the file that is shipped, if it is of this policy; otherwise from its drives, which are made
     once, with a progress bar.
 
@@ -63,12 +66,15 @@ def outcomes_of(policy_folder: Path, *, drives: Path = DRIVES) -> Outcomes:
         ValueError: for a policy whose drives cannot be compared, or a file that is refused.
     """
     policy = load_policy(policy_folder)
-    setting = trained_in(policy.card)
+    trained = trained_in(policy.card)
+    setting = trained.with_one_robot.with_one_human
     if SHIPPED.exists() and request_of(SHIPPED) == dataclasses.asdict(
         _request(policy_folder, setting)
     ):
         return load(SHIPPED)
-    result, _ = obtain(policy_folder, None, scenes=NUM_SCENES, seed=SEED, folder=drives)
+    # None is the scene of the training, which may come from a file.
+    scene = None if setting.scene == trained.scene else setting.scene.name
+    result, _ = obtain(policy_folder, scene, scenes=NUM_SCENES, seed=SEED, folder=drives)
     start = first_moments(policy_folder, setting)
     scenes = {
         "start": start["pose"],
@@ -132,7 +138,8 @@ def main() -> None:
     torch.set_num_threads(1)
     SHIPPED.unlink(missing_ok=True)
     found = outcomes_of(SHIPPED_POLICY)
-    save(SHIPPED, found, _request(SHIPPED_POLICY, trained_in(load_policy(SHIPPED_POLICY).card)))
+    setting = trained_in(load_policy(SHIPPED_POLICY).card).with_one_robot.with_one_human
+    save(SHIPPED, found, _request(SHIPPED_POLICY, setting))
     print(f"written: {SHIPPED}")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import matplotlib
@@ -127,7 +128,9 @@ def _numbers(result: Sweep, scene: int, row: int) -> str:
     metrics = result.metrics[row, scene]
     if not bool(metrics["success"]):
         return "does not arrive"
-    text = f"{float(metrics['time']):.0f} s, at least {float(metrics['min_human_distance']):.1f} m away"
+    text, nearest = f"{float(metrics['time']):.0f} s", float(metrics["min_human_distance"])
+    if not math.isnan(nearest):  # nobody is there
+        text += f", at least {nearest:.1f} m away"
     if "frechet" in metrics.keys():
         text += f", {float(metrics['frechet']):.1f} m from what was shown"
     return text

@@ -189,7 +189,7 @@ def raw_outcomes(result: Sweep) -> Tensor:
     """How well each drive serves each tunable objective, in the unit of its metric, ``[S, P, T]``.
 
     Higher is better. Distances to the human beyond :data:`~recipes.objectives.PERSONAL_SPACE` count
-    as that distance, those to the demonstration beyond :data:`UNLIKE` as that one; a drive that does
+    as that distance, also where nobody is; those to the demonstration beyond :data:`UNLIKE` as that one; a drive that does
     not arrive takes as long as it may.
     """
     columns: list[Tensor] = []
@@ -203,7 +203,7 @@ def raw_outcomes(result: Sweep) -> Tensor:
         if objective.metric == "time":
             values = values.nan_to_num(nan=MAX_STEPS * NavigationEnv.CONTROL_PERIOD)
         if objective.name == "distance":
-            values = values.clamp(max=PERSONAL_SPACE)
+            values = values.nan_to_num(nan=PERSONAL_SPACE).clamp(max=PERSONAL_SPACE)
         if objective.name == DEMO:
             values = values.clamp(max=UNLIKE)
         columns.append(objective.sign * values.T)

@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase, step_mdp
 
 from envs import Scene
 from envs.demonstrations import CircleDemonstrator, demonstrated_paths
+from envs.people import FAR, PERSON
 from envs.policy_env import make_policy_env, simulated
 from envs.views import scene_view
 from recipes.evaluation.setting import GOAL_RADIUS
@@ -68,8 +69,8 @@ def film(
         goal_radius: metres.
         seed: of the scene.
         max_episode_steps: steps before a drive is cut off.
-        demonstrator: its path is drawn, black and dashed, unless the human walks: then it turns
-            around a human who is elsewhere by the time of the next preference.
+        demonstrator: its path is drawn, black and dashed, unless the human walks or people have ways of
+            their own: then it turns around a human who is elsewhere by the time of the next preference.
         every: every so many steps are a frame; so is the last one.
         hold: for how long the last frame of each preference stays, seconds.
         size: width and height of the picture, pixels; the bars and the line come on top of it.
@@ -105,16 +106,18 @@ def film(
     env.set_seed(seed)
     start = env.reset(TensorDict({"preference": preferences[:1]}, [1]), set_state=False)
     goal, boxes = start["scene", "goal"], start["scene", "boxes"][0]
-    points = [drive.flatten(0, 1) for drive in drives] + [goal, start["scene", "human_goal"]]
+    ends, stands = _of_people(start)
+    points = [drive.flatten(0, 1) for drive in drives] + [goal, ends]
     marks: list[Trail] = [(star(*goal[0].tolist(), 0.9 * goal_radius), _BLACK)]
-    stands = bool((start["human_pose"][..., :2] == start["scene", "human_goal"]).all())
     if demonstrated := demonstrator is not None and stands:
         shown = demonstrated_paths(demonstrator, start, **simulation, **simulated(env_kwargs))
         demonstration = shown["position"][0, shown["mask"][0]]
         points.append(demonstration)
         marks += [(dash, _BLACK) for dash in _dashes(demonstration)]
     width, height = size
-    camera = scene_view(torch.cat(points), boxes, width / height)
+    # Who and what is not there stands beyond everything.
+    places, boxes = (one[one[:, 0].abs() < FAR / 2] for one in (torch.cat(points), boxes))
+    camera = scene_view(places, boxes, width / height)
     legend = legend_strip(width, demonstration=demonstrated)
 
     frames, trails = [], []
@@ -135,6 +138,19 @@ def film(
         trails.insert(0, (drive[:, 0], color))
     env.close()
     return write_video(path, torch.stack(frames), fps=FPS)
+
+
+def _of_people(start: TensorDictBase) -> tuple[Tensor, bool]:
+    """Where people begin and end, ``[P, 2]``, and whether there is one human alone, who stands."""
+    scene = start["scene"]
+    if "people" in scene.keys():
+        people = scene["people"][0]
+        columns = [
+            [PERSON.index(name) for name in pair] for pair in (("x", "y"), ("goal_x", "goal_y"))
+        ]
+        return torch.cat([people[:, pair] for pair in columns]), False
+    ends = scene["human_goal"]
+    return ends, bool((start["human_pose"][..., :2] == ends).all())
 
 
 def _drive(

@@ -57,6 +57,13 @@ class Setting:
             return self
         return dataclasses.replace(self, robot=TURTLEBOT2)
 
+    @property
+    def with_one_human(self) -> Setting:
+        """The same for what shows one human: ``static`` where people have ways of their own."""
+        if self.scene.num_people is None:
+            return self
+        return dataclasses.replace(self, scene=get_scene("static"))
+
     def __str__(self) -> str:
         return (
             f"scene {self.scene.name}, robot {self.robot.name}, drive {self.drive}, "

@@ -33,7 +33,7 @@ def choices(folder: Path, *, drives: Path = DRIVES) -> dict[str, Any] | None:
     """
     policy = load_policy(folder)
     tunable = policy.preference_space.tunable
-    setting = trained_in(policy.card)
+    setting = trained_in(policy.card).with_one_robot.with_one_human
     shown = demonstrator(policy.card, setting.robot)
     if len(tunable) < 2 or (DEMO in tunable and shown is None):
         return None

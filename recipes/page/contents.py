@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from envs import NavigationEnv, Robot, Scene, get_scene
+from envs.policy_env import contract
 from envs.splits import TEST_SEEDS
 from recipes.evaluation.setting import demonstrator, trained_in
 from recipes.objectives import known
@@ -38,7 +39,8 @@ def contents(
     """What the page is told, as JSON values.
 
     Args:
-        folders: of the policies; the first is shown first. They were trained for one robot.
+        folders: of the policies; the first is shown first. They were trained for one robot, or for any,
+            which is then a TurtleBot 2.
         scenes: names or YAML files; the first is shown first.
         num_scenes: of each of them.
 
@@ -75,14 +77,10 @@ def contents(
 
 def _policy(folder: Path) -> tuple[dict[str, Any], Robot]:
     policy = load_policy(folder)  # which looks at the files
-    setting = trained_in(policy.card).with_one_robot
+    trained = trained_in(policy.card)
+    setting = trained.with_one_robot
     if policy.sensing is None:
         raise ValueError(f"{folder}: its file does not tell what it senses: save it again.")
-    for name in ("observe_robot", "observe_nobody"):
-        if getattr(policy.sensing, name):
-            raise ValueError(
-                f"{folder}: its sensing.{name} must be false: a page has no such input."
-            )
     activation = describe_mlp(policy.actor[0].module)["activation"]
     dtype = str(next(policy.actor.parameters()).dtype).removeprefix("torch.")
     for name, got, runs in (
@@ -95,13 +93,17 @@ def _policy(folder: Path) -> tuple[dict[str, Any], Robot]:
     space = policy.preference_space
     weights = (folder / "policy.safetensors").read_bytes()
     drives = demonstrator(policy.card, setting.robot)
+    # Of robots that differ, actions are shares of the limits of each.
+    one = isinstance(trained.robot, Robot)
+    limits = policy.limits if one else contract(setting.arguments)["limits"]
     entry: dict[str, Any] = {
         "objectives": list(space.objectives),
         "static": dict(space.static),
-        "limits": policy.limits.to_json(),
+        "limits": limits.to_json(),
         "sensing": policy.sensing.to_json(),
         "goal_radius": setting.goal_radius,
-        "walking": setting.scene.human_speed > 0,
+        # Among people with ways of their own it has met both, some who walk and some who stand.
+        "walking": None if setting.scene.num_people is not None else setting.scene.human_speed > 0,
         "demonstrator": drives
         and {"radius": drives.radius, "side": drives.side, "speed": drives.speed},
         "weights": base64.b64encode(weights).decode(),

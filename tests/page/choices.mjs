@@ -48,7 +48,7 @@ for (const log of job.logs ?? []) {
 }
 
 if (job.drives) {
-  const policy = readPolicies({ it: job.entry }).it;
+  const policy = readPolicies({ it: job.entry }, job.robot).it;
   const { robot, entry } = job;
   result.drives = job.drives.map(([scene, preference]) =>
     alternative(job.choices.scenes[scene], job.choices.preferences[preference], { robot, policy, entry }),

@@ -12,6 +12,7 @@ import { mixture, rgb } from "../../page/view/colors.js";
 import { decode, encode } from "../../page/view/link.js";
 import { Session } from "../../page/view/session.js";
 import { onSimplex, withWeight } from "../../page/view/triangle.js";
+import { Previews, serve as answer } from "../../page/view/worker.js";
 
 const PARTS = {
   boxDistance,
@@ -64,6 +65,21 @@ const PARTS = {
     session.preference = [1, 0, 0];
     session.setMotion(motion);
     return [session.policyName, session.preference];
+  },
+  // Where a session drives in twenty steps, and where its previews, which know no session, say that it will.
+  ahead(contents, preference) {
+    const session = new Session(contents);
+    session.preference = preference;
+    const there = { postMessage: (data) => serve.onmessage({ data: structuredClone(data) }) };
+    const serve = { postMessage: (data) => there.onmessage({ data }) };
+    answer(serve);
+    globalThis.Worker = function () {
+      return there;
+    };
+    const previews = new Previews("", contents);
+    previews.ask({ moment: session.episode.moment(), name: session.policyName, preference, clamped: false });
+    for (let step = 0; step < 20; step++) session.step();
+    return [session.points, previews.own.points.slice(0, 21)];
   },
   // Where a person stands who was put to a place.
   put(contents, place) {

@@ -8,7 +8,7 @@ import { Frechet } from "../../page/simulation/frechet.js";
 import { Policy } from "../../page/simulation/policy.js";
 
 const job = JSON.parse(readFileSync(process.argv[2], "utf8"));
-const policy = new Policy(job.policy, new Uint8Array(readFileSync(job.weights)));
+const policy = new Policy(job.policy, new Uint8Array(readFileSync(job.weights)), job.robot);
 
 function closedLoop({ scene, preference }) {
   const episode = new Episode(scene, job.robot, job.limits);

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 import torch
 
+from recipes.choices import outcomes, rollouts
 from recipes.choices.outcomes import SHIPPED, first_moments, load, request_of
 from recipes.choices.rollouts import NUM_SCENES
 from recipes.evaluation.setting import demonstrator, trained_in
 from recipes.evaluation.sweep import SHIPPED_POLICY, sweep
 from recipes.page.choices import choices
 from recipes.page.contents import contents
+from tests import _any_robot as any_robot
 from torchrl_morl.choices import (
     ChoiceModel,
     PreferencePosterior,
@@ -206,7 +208,7 @@ def test_what_is_shown_is_what_was_driven(tmp_path):
 
 def test_the_shipped_outcomes_are_of_the_shipped_policy_and_its_scenes():
     """Where not: python -m recipes.choices.outcomes"""
-    setting = trained_in(load_policy(SHIPPED_POLICY).card)
+    setting = trained_in(load_policy(SHIPPED_POLICY).card).with_one_robot.with_one_human
     request = request_of(SHIPPED)
     assert request["policy"] == file_checksum(SHIPPED_POLICY / "policy.safetensors")
     assert request["setting"] == str(setting)
@@ -214,6 +216,29 @@ def test_the_shipped_outcomes_are_of_the_shipped_policy_and_its_scenes():
     shipped = load(SHIPPED)
     torch.testing.assert_close(shipped.scenes["boxes"], start["scene", "boxes"])
     torch.testing.assert_close(shipped.scenes["start"], start["pose"])
+
+
+def test_who_knows_any_robot_and_all_sorts_of_people_is_asked_about_in_scenes_of_the_page(
+    tmp_path, monkeypatch
+):
+    """On a TurtleBot 2 and with one human who stands: what a page shows."""
+    folder = any_robot.save(
+        tmp_path / "any",
+        scene="everyday",
+        demonstrator={"radius": 1.0, "side": "left", "speed": 0.5},
+    )
+    policy = load_policy(folder)
+    # Few drives and short ones: that of one preference stands for all.
+    monkeypatch.setattr(outcomes, "NUM_SCENES", 2)
+    monkeypatch.setattr(rollouts, "MAX_STEPS", 2)
+    monkeypatch.setattr(
+        type(policy.preference_space), "lattice", lambda self, _: self.corners()[:1]
+    )
+    held = choices(folder, drives=tmp_path)
+    (file,) = tmp_path.glob("*.safetensors")
+    assert file.name.split("_")[1] == "static"
+    assert len(held["scenes"]) == 2
+    assert {scene["human_speed"] for scene in held["scenes"]} == {0.0}
 
 
 def test_a_policy_without_demonstrator_is_not_asked_about(monkeypatch):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from envs import get_robot
+from envs import Robot, get_robot
 from envs.demonstrations.drivers import demonstrated_paths
 from envs.policy_env import make_policy_env, simulated
 from recipes.evaluation.setting import demonstrator, trained_in
@@ -29,9 +29,9 @@ pytestmark = needs_node
 
 @functools.cache
 def job(name: str) -> dict:
-    """What the page holds of a policy, and where its weights lie."""
-    page = contents([POLICIES / name], ["showcase"])
-    entry = page["policies"][name]
+    """What the page holds of a policy, a shipped one or a folder, and where its weights lie."""
+    page = contents([POLICIES / name], ["showcase"], num_scenes=1)
+    (entry,) = page["policies"].values()
     weights = str(POLICIES / name / "policy.safetensors")
     limits = {
         "goalRadius": entry["goal_radius"],
@@ -47,7 +47,7 @@ def job(name: str) -> dict:
     }
 
 
-def driven(name: str, scene: str, episodes: int, seed: int, robot: str = "turtlebot2"):
+def driven(name: str, scene: str, episodes: int, seed: int, robot: str | Robot = "turtlebot2"):
     """Episodes of a policy under drawn preferences, and the arguments of their environment."""
     policy = load_policy(POLICIES / name)
     arguments = {**trained_in(policy.card).arguments, "scene": scene, "robot": robot}
@@ -104,9 +104,15 @@ def test_the_same_episodes(name, scene, robot, episodes, tmp_path):
 
     Where a drive hangs on a decision, rounding grows: one in 26 of these by a factor of ten thousand.
     """
+    check_the_same_episodes(name, scene, robot, episodes, tmp_path)
+
+
+def check_the_same_episodes(
+    name: str, scene: str, robot: str | Robot, episodes: int, folder: Path
+) -> None:
     rollout, speed, _ = driven(name, scene, episodes, seed=7, robot=robot)
     told = {**job(name), "robot": dataclasses.asdict(get_robot(robot))}
-    ours = on_the_page(rollout, speed, told, tmp_path)
+    ours = on_the_page(rollout, speed, told, folder)
     largest = {key: [] for key in ("scan", "observation", "action", "pose", "human")}
     for theirs, mine in zip(rollout, ours, strict=True):
         length = int(theirs["next", "done"].int().argmax()) + 1
@@ -131,7 +137,12 @@ def test_the_same_episodes(name, scene, robot, episodes, tmp_path):
             largest[key].append(np.quantile(off, 0.9999) if key == "scan" else off.max())
     middle = {key: np.median(values) for key, values in largest.items()}
     most = {key: max(values) for key, values in largest.items()}
-    print(name, scene, robot, *(f"{key} {middle[key]:.0e} {most[key]:.0e}" for key in most))
+    print(
+        Path(name).name,
+        scene,
+        get_robot(robot).name,
+        *(f"{key} {middle[key]:.0e} {most[key]:.0e}" for key in most),
+    )
     assert middle["scan"] < 1e-4  # metres
     assert middle["observation"] < 1e-5
     assert middle["action"] < 1e-5

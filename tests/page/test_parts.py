@@ -14,6 +14,7 @@ import torch
 from envs import HUMAN_RADIUS, TURTLEBOT2, NavigationEnv
 from recipes.objectives import OBJECTIVES, preference_colors
 from recipes.page.contents import SHIPPED, contents
+from tests import _any_robot as any_robot
 
 from ._node import HERE, needs_node
 
@@ -187,6 +188,23 @@ def test_a_preference_is_for_the_objectives_of_its_policy(call, page):
     walking = page["policies"]["moving_humans"]
     other = page["policies"] | {"moving_humans": {**walking, "static": {"core": 1, "demo": 1}}}
     assert call("motion", {**page, "policies": other}, "walks") == ["moving_humans", [0.5, 0.5]]
+
+
+def test_a_policy_that_knows_who_walks_and_who_stands_goes_on_with_both(call, page):
+    both = {**page["policies"]["navigation"], "walking": None}
+    for policies in (
+        {"both": both, "navigation": page["policies"]["navigation"]},
+        {"moving_humans": page["policies"]["moving_humans"], "both": both},
+    ):
+        for motion in ("stands", "walks"):
+            assert call("motion", {**page, "policies": policies}, motion)[0] == "both"
+
+
+def test_previews_drive_the_robot_of_the_page(call, tmp_path):
+    folder = any_robot.save(tmp_path / "any")
+    driven, ahead = call("ahead", contents([folder], ["showcase"], num_scenes=1), [0.2, 0.5, 0.3])
+    assert driven == ahead
+    assert math.dist(driven[0], driven[-1]) > 0.2
 
 
 def test_nobody_is_put_into_the_robot(call, page):

@@ -11,6 +11,7 @@ import pytest
 from torchrl_morl_ros.driver import Driver
 from torchrl_morl_ros.settings import HUMAN_MESSAGES, Settings, descriptions
 
+from tests import _any_robot as any_robot
 from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy
 from torchrl_morl.testing import untrained_policy
 
@@ -356,6 +357,45 @@ def test_a_policy_that_does_not_tell_what_it_senses():
         driver(policy=policy)
 
 
+# --- a policy that reads which robot it drives
+
+
+@pytest.fixture(scope="module")
+def of_any_robot(tmp_path_factory):
+    return load_policy(any_robot.save(tmp_path_factory.mktemp("policies") / "any"))
+
+
+@pytest.mark.parametrize("somebody", [True, False])
+def test_it_is_told_the_robot_and_drives_as_the_runner_of_the_library(of_any_robot, somebody):
+    given = {} if somebody else NOBODY
+    made = told(driver(policy=of_any_robot, robot=any_robot.ROBOT, **given))
+    decision = made.step(10.1)
+    lidar = LidarGeometry(-math.pi, math.pi / 180, 360, range_min=0.1, range_max=8.0)
+    expected = PolicyRunner(of_any_robot, lidar=lidar, robot=any_robot.ROBOT).step(
+        np.full(360, math.inf),
+        goal=(math.hypot(6, 1), math.atan2(1, 6)),
+        human=(math.hypot(3, 1), math.atan2(-1, 3)) if somebody else None,
+        human_velocity=(0.0, 0.0) if somebody else None,
+        preference=(0.2, 0.5, 0.3),
+        stamp=10.0,
+        time=10.1,
+    )
+    assert decision.reason == "drive"
+    assert (decision.speed, decision.turn_rate) == pytest.approx(
+        (expected.speed, expected.turn_rate), abs=1e-5
+    )
+
+
+def test_a_robot_that_is_missing_or_is_not_read_is_named(of_any_robot):
+    with pytest.raises(
+        ValueError, match=r"^robot must be radius, top speed, .* got \[0.0, 0"
+    ) as one:
+        driver(policy=of_any_robot)
+    with pytest.raises(ValueError, match=r"^robot must be left out: this policy does not") as other:
+        driver(robot=any_robot.ROBOT)
+    assert all("\n" not in str(error.value) for error in (one, other))
+
+
 # --- settings
 
 
@@ -372,6 +412,9 @@ def test_a_policy_that_does_not_tell_what_it_senses():
         ("max_speed", -0.1),
         ("lidar_mount", (0.0, 0.0)),
         ("lidar_mount", (0.0, 0.0, math.nan)),
+        ("robot", (0.2, 0.5, 3.0)),
+        ("robot", (0.0, *any_robot.ROBOT[1:])),
+        ("robot", (*any_robot.ROBOT[:5], math.nan)),
         ("publish_rate", 1.0),
     ],
 )

@@ -60,6 +60,13 @@ class Driver:
             raise ValueError(
                 f"policy: {settings.policy} does not tell what it senses: save it again with sensing=."
             )
+        if policy.sensing.observe_robot != any(settings.robot):
+            allowed = (
+                "radius, top speed, top turn rate, and the lidar's view, range and distance ahead"
+                if policy.sensing.observe_robot
+                else "left out: this policy does not read which robot it drives"
+            )
+            raise ValueError(f"robot must be {allowed}, got {list(settings.robot)}.")
         self.policy, self.settings = policy, settings
         self.inputs = Inputs(settings, policy.period, lookup)
         count = policy.preference_space.num_tunable
@@ -144,6 +151,7 @@ class Driver:
                 lidar=inputs.lidar,
                 goal_radius=settings.goal_radius or None,
                 timeout=max(inputs.timeouts.values()),
+                robot=settings.robot if self.policy.sensing.observe_robot else None,
                 max_speed=settings.max_speed or None,
                 max_turn_rate=settings.max_turn_rate or None,
             )

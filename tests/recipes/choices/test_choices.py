@@ -84,6 +84,14 @@ def test_outcomes_are_better_where_the_metric_is(drives):
     torch.testing.assert_close(far[..., 0], near[..., 0])
 
 
+def test_where_nobody_is_a_drive_keeps_its_distance(drives):
+    metrics = drives.metrics.clone()
+    metrics["min_human_distance"][:, 2] = torch.nan
+    raw = raw_outcomes(dataclasses.replace(drives, metrics=metrics))
+    assert (raw[2, :, 0] == 2.0).all()
+    assert raw.isfinite().all()
+
+
 def test_a_scene_that_is_edited_is_driven_anew(tmp_path):
     fields = "start: [0, 0, 0]\ngoal: [{goal}, 0]\nhuman: [3, 1]\n"
     path, words = tmp_path / "room.yaml", []
@@ -157,6 +165,20 @@ def test_mistakes_are_one_line(arguments, message, monkeypatch, capsys, quick, t
     printed = capsys.readouterr()
     assert message in printed.err and printed.err.count("\n") == 1
     assert list((tmp_path / "here").iterdir()) == []
+
+
+def test_drives_that_never_arrive_are_one_line(tmp_path, monkeypatch, capsys, quick, drives):
+    metrics = drives.metrics.clone()
+    metrics["success"] = torch.zeros_like(metrics["success"])
+    failed = dataclasses.replace(drives, metrics=metrics)
+    setting = choose({})
+    monkeypatch.setattr(command, "obtain", lambda *_, **__: (failed, setting))
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        run(monkeypatch, "--answers", "1", "--output", tmp_path / "one")
+    said = capsys.readouterr().err
+    assert "the drives of this policy cannot be compared: outcomes" in said
+    assert said.count("\n") == 1
 
 
 def test_an_old_folder_is_kept(tmp_path, monkeypatch, capsys, quick):

@@ -75,6 +75,14 @@ def test_the_camera_stays_though_robots_leave_the_scene(cameras, tmp_path):
 
 
 @needs_gl
+def test_people_who_are_not_there_are_not_looked_for(cameras, tmp_path):
+    """The scene has room for several people and boxes; who is missing stands a kilometre away."""
+    where = {"scene": "everyday", "seed": 0, "max_episode_steps": 2, "num_threads": 1}
+    film(tmp_path / "film.gif", BEND, SPACE, SPACE.corners()[:1], size=(WIDTH, HEIGHT), **where)
+    assert 2.0 < cameras[0].height < 40.0
+
+
+@needs_gl
 def test_ends_stay_and_every_path_has_the_color_of_its_bar(tmp_path):
     preferences = torch.cat((DEMO_SPACE.corners(), torch.tensor([[0.0, 0.5, 0.5]])))
     steps = 20

@@ -14,6 +14,7 @@ from envs.policy_env import make_policy_env
 from recipes.evaluation.setting import Setting, trained_in
 from recipes.evaluation.sweep import SHIPPED_POLICY
 from recipes.live.simulation import LiveSimulation
+from tests import _any_robot as any_robot
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.transforms import PreferenceSampler
 
@@ -48,25 +49,36 @@ def drive(simulation: LiveSimulation, steps: int = 300) -> np.ndarray:
     ("name", "scene"), [("navigation", "static"), ("moving_humans", "moving_human")]
 )
 def test_untouched_it_is_the_environment(make, name, scene):
-    policy = load_policy(SHIPPED_POLICY.parent / name)
-    simulation = make(scene, seed=9, policy=policy)
+    check_untouched(make, load_policy(SHIPPED_POLICY.parent / name), scene)
+
+
+def test_untouched_it_is_the_environment_for_a_policy_of_any_robot(make, tmp_path):
+    policy = load_policy(any_robot.save(tmp_path / "any", scene="everyday"))
+    check_untouched(make, policy, "moving_human", steps=60)
+
+
+def check_untouched(make, policy, scene: str, steps: int = 300) -> None:
+    trained = trained_in(policy.card).with_one_robot
+    simulation = make(scene, seed=9, policy=policy, robot=trained.robot)
     simulation.preference = np.array([0.2, 0.5, 0.3])
-    path = drive(simulation)
+    path = drive(simulation, steps)
     env = make_policy_env(
         PreferenceSampler(policy.preference_space),
         keep_simulation=True,
         num_envs=1,
         num_threads=1,
         seed=9,
-        **{**trained_in(policy.card).arguments, "scene": scene},
+        **{**trained.arguments, "scene": scene},
     )
     start = env.reset()
     start["preference"] = torch.tensor([[0.2, 0.5, 0.3]])
-    rollout = env.rollout(300, policy.actor, auto_reset=False, tensordict=start)
+    rollout = env.rollout(steps, policy.actor, auto_reset=False, tensordict=start)
     env.close()
     assert len(path) == rollout.shape[1] + 1
     assert np.allclose(path[1:], rollout["next", "pose"][0, :, :2], atol=1e-4)
-    assert rollout["next", simulation.ending][0, -1]
+    # Whoever has not arrived after these steps is still on its way.
+    assert simulation.ending is None or rollout["next", simulation.ending][0, -1]
+    assert (simulation.ending is None) != bool(rollout["next", "done"][0, -1])
 
 
 def test_the_preference_counts_from_the_step_on_in_which_it_changes(make):

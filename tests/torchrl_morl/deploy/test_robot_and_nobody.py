@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 
 import numpy as np
@@ -11,7 +10,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from torchrl_morl.deploy import LidarGeometry, Limits, PolicyRunner, Sensing, export_onnx
+from tests._any_robot import LIDAR, ROBOT, SENSING
+from torchrl_morl.deploy import Limits, PolicyRunner, Sensing, export_onnx
 from torchrl_morl.deploy.export import main
 from torchrl_morl.deploy.features import observation, policy_transforms
 from torchrl_morl.deploy.graph import PolicyGraph
@@ -19,9 +19,6 @@ from torchrl_morl.deploy.onnx_runner import OnnxRunner
 from torchrl_morl.deploy.policy_files import save_policy
 from torchrl_morl.testing import untrained_policy
 
-ROBOT = (0.25, 0.7, 2.0, 4.7, 8.0, 0.1)
-SENSING = Sensing(observe_human_velocity=True, observe_nobody=True, observe_robot=True)
-LIDAR = LidarGeometry(0.0, math.pi / 90, 180, 0.05, 8.0, (ROBOT[-1], 0.0, 0.0))
 PREFERENCE = (0.2, 0.3, 0.5)
 
 
@@ -187,22 +184,3 @@ def test_one_robot_of_those_that_a_policy_drives():
     assert (graph.sensing, graph.limits) == (reads, limits)
     with pytest.raises(ValueError, match=r"limits: speed must be two finite .* \(0\.0, 0\.0\)"):
         Limits.of_robot(0.0, 1.0)
-
-
-def test_a_page_refuses_what_it_has_no_input_for(policy, tmp_path):
-    from recipes.page.contents import contents
-
-    folder = tmp_path / "any"
-    save_policy(
-        folder,
-        policy.actor,
-        preference_space=policy.preference_space,
-        sensing=SENSING,
-        limits=policy.limits,
-        period=policy.period,
-        robot="turtlebot2",
-        card={},
-    )
-    with pytest.raises(ValueError, match=r"sensing\.observe_robot must be false: a page"):
-        contents([folder], ["static"], num_scenes=1)
-    assert json.loads((folder / "policy.json").read_text())["sensing"]["observe_robot"] is True

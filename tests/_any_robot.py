@@ -1,0 +1,43 @@
+"""A policy that reads all that one can: which robot it drives, the human's velocity and a mark for nobody."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from envs.policy_env import contract
+from torchrl_morl.deploy import LidarGeometry, Sensing, save_policy
+from torchrl_morl.testing import untrained_policy
+
+OBSERVED = {"observe_human_velocity": True, "observe_nobody": True, "observe_robot": True}
+SENSING = Sensing(**OBSERVED)
+ROBOT = (0.25, 0.7, 2.0, 4.7, 8.0, 0.1)
+LIDAR = LidarGeometry(0.0, math.pi / 90, 180, 0.05, 8.0, (ROBOT[-1], 0.0, 0.0))
+
+
+def save(
+    folder: Path, robot: str = "any", *, scene: str = "static", seed: int = 1, **card: Any
+) -> Path:
+    """Nobody has trained it; it turns this way and that, by all that it reads.
+
+    Args:
+        folder: new.
+        robot: name of the one that it was trained with, or ``"any"``.
+
+    Keyword Args:
+        scene: of its training and its evaluations.
+        seed: of its weights.
+        **card: more of its card.
+    """
+    trained = {"scene": scene, "robot": robot, **OBSERVED}
+    facts = contract(trained)
+    torch.manual_seed(seed)
+    policy = untrained_policy(sensing=facts["sensing"])
+    policy.actor[0].module[-1].weight.mul_(100.0)  # a new network hardly turns
+    card = {"config": {"env": trained, "evaluation": {"scene": scene}}} | card
+    return save_policy(
+        folder, policy.actor, preference_space=policy.preference_space, card=card, **facts
+    )
