@@ -50,7 +50,8 @@ class Dialogue:
 
     def __post_init__(self) -> None:
         self.outcomes: dict[str, Tensor] = joint_outcomes(self.drives)
-        self._valid = {name: arrived(one) for name, one in self.drives.items()}
+        # Copies: what is skipped has arrived nevertheless.
+        self._valid = {name: arrived(one).clone() for name, one in self.drives.items()}
         self._skipped = 0
 
     def ask(self) -> tuple[str, Question]:
