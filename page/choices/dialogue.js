@@ -41,7 +41,7 @@ export class Dialogue {
     return this.posterior.choices.length;
   }
 
-  /** The most informative question: { scene, first, second, information }, the places of two preferences. */
+  /** The most valuable question: { scene, first, second, value, information }, the places of two preferences. */
   get question() {
     const number = ((this.told.seed * 1000 + this.count) * 1000 + this.skipped) * 10;
     this.asked ??= nextQuestion(this.posterior, this.outcomes, this.valid, new Generator(number));

@@ -50,11 +50,12 @@ class Dialogue:
 
     def __post_init__(self) -> None:
         self.outcomes: dict[str, Tensor] = joint_outcomes(self.drives)
-        self._valid = {name: arrived(one) for name, one in self.drives.items()}
+        # Copies: what is skipped has arrived nevertheless.
+        self._valid = {name: arrived(one).clone() for name, one in self.drives.items()}
         self._skipped = 0
 
     def ask(self) -> tuple[str, Question]:
-        """The most informative question of all contexts, the same for the same answers."""
+        """The most valuable question of all contexts, the same for the same answers."""
         questions, count = [], self.posterior.num_answers
         for place, context in enumerate(self.posterior.contexts):
             # A resumed dialogue goes on as if it had not been interrupted.
@@ -67,7 +68,7 @@ class Dialogue:
                 generator=torch.Generator().manual_seed(number),
             )
             questions.append((context, question))
-        return max(questions, key=lambda one: one[1].information)
+        return max(questions, key=lambda one: one[1].worth)
 
     def skip(self, context: str, question: Question) -> None:
         """Show the first drive of a question no more, and ask something else."""

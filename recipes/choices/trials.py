@@ -93,7 +93,7 @@ def ask(
     answers: int,
     generator: torch.Generator,
     *,
-    candidates: int = CANDIDATES,
+    informative: bool = True,
     context: str | None = None,
 ) -> tuple[float, Answer]:
     """Ask a person one question, and tell the posterior.
@@ -107,19 +107,21 @@ def ask(
         generator: the source of randomness.
 
     Keyword Args:
-        candidates: see :func:`~torchrl_morl.choices.next_question`.
+        informative: a question of :func:`~torchrl_morl.choices.next_question`, or a random one.
         context: of the place; may be left out if there is one.
 
     Returns:
         How likely it was, of the two, that the first is liked better; what was said.
     """
+    # A random question is the only one that is compared.
+    how = {"candidates": CANDIDATES} if informative else {"candidates": 1, "typical": 1.0}
     question = next_question(
         posterior,
         place.outcomes,
         context=context,
         valid=place.valid,
-        candidates=candidates,
         generator=generator,
+        **how,
     )
     pair = place.outcomes[question.scene, [question.first, question.second]]
     first, second = posterior.predict(*pair, context)[:2].tolist()
@@ -130,14 +132,13 @@ def ask(
 
 
 def asked(person: Person, mind: Mind, place: Place, seed: int, *, informative: bool) -> Trial:
-    """Ask twenty questions, the most informative ones or random ones.
+    """Ask twenty questions, the most valuable ones or random ones.
 
     Keyword Args:
-        informative: which.
+        informative: the first.
     """
     generator = torch.Generator().manual_seed(seed)
     posterior = PreferencePosterior(OBJECTIVES)
-    candidates = CANDIDATES if informative else 1
     ways: dict[str, list[float]] = {"best": [], "weights": []}
     trial = Trial(ways, [], [], [], [])
     for answers in range(max(AFTER) + 1):
@@ -150,7 +151,7 @@ def asked(person: Person, mind: Mind, place: Place, seed: int, *, informative: b
         if answers == max(AFTER):
             break
         predicted, answer = ask(
-            posterior, person, mind, place, answers, generator, candidates=candidates
+            posterior, person, mind, place, answers, generator, informative=informative
         )
         if answer in ("first", "second"):
             trial.predicted.append(predicted)

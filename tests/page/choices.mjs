@@ -5,7 +5,7 @@ import { readFileSync } from "node:fs";
 import { alternative } from "../../page/choices/alternative.js";
 import { Dialogue } from "../../page/choices/dialogue.js";
 import { Posterior } from "../../page/choices/posterior.js";
-import { bestPreference, information, nextQuestion } from "../../page/choices/question.js";
+import { bestPreference, nextQuestion, worths } from "../../page/choices/question.js";
 import { Generator } from "../../page/choices/random.js";
 import { readPolicies } from "../../page/simulation/policy.js";
 
@@ -16,19 +16,16 @@ if (job.random) result.random = job.random.map(([seed, high, count]) => [...new 
 
 // A posterior of any number of objectives: after each answer, what is known.
 if (job.posterior) {
-  const { size, model, divisions, answers, pairs } = job.posterior;
+  const { size, model, divisions, answers, pairs, outcomes, valid } = job.posterior;
   const posterior = new Posterior(size, model, divisions);
   result.posterior = answers.map((one) => {
     if (one === null) posterior.undo();
     else posterior.answer(...one);
     const { probability, chance, mean } = posterior;
-    return { probability: [...probability], chance, mean, information: information(posterior, pairs) };
+    return { probability: [...probability], chance, mean, worths: worths(posterior, pairs, outcomes) };
   });
-  if (job.posterior.outcomes) {
-    const { outcomes, valid } = job.posterior;
-    result.best = bestPreference(posterior, outcomes);
-    result.question = nextQuestion(posterior, outcomes, valid, new Generator(5), 50);
-  }
+  result.best = bestPreference(posterior, outcomes);
+  result.question = nextQuestion(posterior, outcomes, valid, new Generator(5), 50);
 }
 
 // A dialogue on a page: what is asked before each key, and what is known after the last.

@@ -23,6 +23,7 @@ from torchrl_morl.choices import (
     best_preference,
     information,
     next_question,
+    value_of_information,
 )
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.deploy.files import file_checksum
@@ -124,9 +125,13 @@ def test_the_posterior_is_that_of_the_library(size, divisions, model, tmp_path):
         assert known["probability"] == pytest.approx(posterior.probability().tolist(), abs=1e-12)
         assert known["chance"] == pytest.approx(posterior.chance(), abs=1e-12)
         assert known["mean"] == pytest.approx(posterior.mean().tolist(), abs=1e-12)
-        # The library's are of float32.
-        bits = information(posterior, pairs[:, 0], pairs[:, 1])
-        assert known["information"] == pytest.approx(bits.tolist(), abs=2e-5)
+        sides = pairs[:, 0], pairs[:, 1]
+        bits = information(posterior, *sides)
+        assert [one["information"] for one in known["worths"]] == pytest.approx(
+            bits.tolist(), abs=1e-6
+        )
+        value = value_of_information(posterior, *sides, table)
+        assert [one["value"] for one in known["worths"]] == pytest.approx(value.tolist(), abs=1e-6)
     question = next_question(
         posterior, table, valid=valid, candidates=50, generator=torch.Generator().manual_seed(5)
     )
@@ -150,7 +155,8 @@ def test_the_same_answers_lead_to_the_same_questions_and_preference(tmp_path):
     for log, mine in zip(LOGS, got, strict=True):
         questions, posterior, best = dialogue(log)
         for one, other in zip(mine["questions"], questions, strict=True):
-            assert one["information"] == pytest.approx(other.information, abs=2e-5), log
+            assert one["information"] == pytest.approx(other.information, abs=1e-6), log
+            assert one["value"] == pytest.approx(other.value, abs=1e-6), log
             assert (one["scene"], one["first"], one["second"]) == (
                 other.scene,
                 other.first,

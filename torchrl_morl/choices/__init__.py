@@ -7,7 +7,7 @@ environment. Start at :class:`PreferencePosterior`.
 from .model import ANSWERS, Answer, Choice, ChoiceModel
 from .outcomes import standardize
 from .posterior import PreferencePosterior
-from .question import Question, information, next_question
+from .question import Question, information, next_question, value_of_information
 from .recommendation import Recommendation, best_preference
 
 __all__ = [
@@ -22,4 +22,5 @@ __all__ = [
     "information",
     "next_question",
     "standardize",
+    "value_of_information",
 ]

@@ -76,18 +76,16 @@ def best_preference(
         >>> best.index, best.preference.tolist(), best.regret < best.regret_high
         (1, [0.5, 0.5], True)
     """
-    values = as_outcomes(outcomes, len(posterior.objectives)).double()
+    values = as_outcomes(outcomes, len(posterior.objectives))
     rows = torch.as_tensor(preferences)
     if rows.ndim != 2 or len(rows) != values.shape[-2]:
         raise ValueError(
             f"preferences must have shape [{values.shape[-2]}, T], one row an alternative, got "
             f"{list(rows.shape)}."
         )
-    mean = values.reshape(-1, *values.shape[-2:]).mean(0)
-    utility = posterior.weights @ mean.T  # [H, P]
-    low, high = utility.amin(-1, keepdim=True), utility.amax(-1, keepdim=True)
-    # Where all preferences are alike none is missed.
-    satisfied = torch.where(high > low, (utility - low) / (high - low).clamp(min=1e-12), 1.0)
+    scaled, mean = in_satisfaction(posterior.weights, values)
+    utility = scaled @ mean.T  # [H, P]
+    satisfied = 1 + utility - utility.amax(-1, keepdim=True)
     probability = posterior.probability(context)
     satisfaction = probability @ satisfied
     index = int(satisfaction.argmax())
@@ -102,3 +100,22 @@ def best_preference(
         regret_high=float(missed[order[min(place, len(order) - 1)]]),
         chance=posterior.chance(context),
     )
+
+
+def in_satisfaction(weights: Tensor, outcomes: Tensor) -> tuple[Tensor, Tensor]:
+    """Weights in the unit of the way from the worst preference to the best, and mean outcomes.
+
+    The satisfaction of a hypothesis with a preference is their product, up to a number of the hypothesis.
+
+    Args:
+        weights: hypotheses, ``[H, T]``.
+        outcomes: ``[*S, P, T]``.
+
+    Returns:
+        Weights, ``[H, T]``: 0 for hypotheses to which all preferences are alike, since none is missed
+        then. Mean outcomes of each preference, ``[P, T]``.
+    """
+    mean = outcomes.to(weights).reshape(-1, *outcomes.shape[-2:]).mean(0)
+    utility = weights @ mean.T
+    way = utility.amax(-1, keepdim=True) - utility.amin(-1, keepdim=True)
+    return torch.where(way > 0, weights / way.clamp(min=1e-12), 0.0), mean

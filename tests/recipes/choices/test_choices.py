@@ -129,8 +129,10 @@ def test_resumed_asks_what_would_have_been_asked(tmp_path, drives):
     one.take(context, question, "first")
     again = dialogue(PreferencePosterior.load(tmp_path / "answers.json"))
     assert again.ask() == one.ask()
+    success = drives.metrics["success"].clone()
     one.skip(*one.ask())
     assert again.ask() != one.ask()
+    assert torch.equal(drives.metrics["success"], success)
 
 
 def test_typed_answers_end_with_the_input(tmp_path, monkeypatch, capsys, quick):

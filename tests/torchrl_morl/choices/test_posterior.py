@@ -18,6 +18,7 @@ from torchrl_morl.choices import (
     information,
     next_question,
     standardize,
+    value_of_information,
 )
 from torchrl_morl.choices.grid import context_log_posterior, resemblance
 from torchrl_morl.preferences import PreferenceSpace
@@ -134,11 +135,15 @@ class TestExact:
         assert posterior.mean()[0] < 0.5
 
     def test_always_the_first_is_found_to_be_chance(self):
+        # Asked what tells most, not what matters to the choice: that says less about chance.
         outcomes = torch.randn(20, 30, 3, generator=generator())
         posterior = PreferencePosterior(("a", "b", "c"))
         for number in range(20):
-            q = next_question(posterior, outcomes, candidates=100, generator=generator(number))
-            posterior.answer(outcomes[q.scene, q.first], outcomes[q.scene, q.second], "first")
+            draw = generator(number)
+            scene = torch.randint(20, (100,), generator=draw)
+            sides = [outcomes[scene, torch.randint(30, (100,), generator=draw)] for _ in range(2)]
+            most = int(information(posterior, *sides).argmax())
+            posterior.answer(sides[0][most], sides[1][most], "first")
         assert posterior.chance() > 0.5
         best = best_preference(posterior, outcomes, torch.eye(30))
         assert best.regret > 0.1
@@ -310,6 +315,90 @@ class TestQuestions:
         for _ in range(6):
             posterior.answer([1.0, -1.0], [-1.0, 1.0], "first")
         assert information(posterior, [[1.0, -1.0]], [[-1.0, 1.0]]) < before / 2
+
+
+class TestValue:
+    def test_by_hand(self):
+        # Two people, equally likely, of whom each likes one preference alone: a blind choice satisfies
+        # half of them, and an answer is right with sigmoid(2).
+        posterior = PreferencePosterior(TWO, model=PLAIN, divisions=1)
+        value = value_of_information(posterior, [[1.0, 0.0]], [[0.0, 1.0]], torch.eye(2))
+        assert float(value) == pytest.approx(1 / (1 + math.exp(-2)) - 0.5)
+
+    def test_a_question_that_cannot_change_the_choice_has_none(self):
+        # The third preference is the best for everybody, whatever is answered.
+        posterior = PreferencePosterior(TWO)
+        outcomes = torch.tensor([[1.0, 0.0], [0.0, 1.0], [2.0, 2.0]])
+        first, second = [[1.0, 0.0]], [[0.0, 1.0]]
+        assert float(information(posterior, first, second)) > 0.1
+        assert float(value_of_information(posterior, first, second, outcomes)) < 1e-12
+
+    @pytest.mark.parametrize("size", [1, 2, 3, 4, 6])
+    def test_is_the_rise_of_the_recommended_satisfaction(self, size):
+        """Each answer is taken in, and the preference chosen anew: in a context of several, too."""
+        model = ChoiceModel(half_life=None)
+        contexts = ("open", "corridor") if size < 5 else ("open",)
+        posterior = PreferencePosterior(
+            tuple("abcdef"[:size]),
+            contexts=contexts,
+            model=model,
+            divisions={3: 10, 4: 5}.get(size),
+            particles=500,
+        )
+        draw = generator(size)
+        outcomes = torch.randn(5, 8, size, generator=draw)
+        pairs = torch.randn(4, 2, size, generator=draw)
+        posterior.answer(*pairs[0], "first", contexts[0])
+        value = value_of_information(
+            posterior, pairs[:, 0], pairs[:, 1], outcomes, context=contexts[0]
+        )
+        utility = posterior.weights @ outcomes.double().mean(0).T
+        utility = utility - utility.amin(1, keepdim=True)
+        satisfied = utility / utility.amax(1, keepdim=True)
+        prior = posterior.probability(contexts[0])
+        for (first, second), found in zip(pairs.double(), value.tolist(), strict=True):
+            chances = model.probabilities(
+                posterior.weights @ first, posterior.weights @ second, posterior.rationality
+            )
+            joint = prior[:, None] * chances
+            after = sum(float((joint[:, one] @ satisfied).max()) for one in range(4))
+            assert found == pytest.approx(after - float((prior @ satisfied).max()), abs=1e-5)
+
+    def test_where_no_answer_changes_the_choice_the_one_that_tells_most_is_asked(self):
+        posterior = PreferencePosterior(TWO)
+        outcomes = torch.tensor([[[1.0, 0.0], [0.9, 0.0], [0.0, 1.0], [2.0, 2.0]]])
+        valid = torch.tensor([[True, True, True, False]])
+        question = next_question(posterior, outcomes, valid=valid, generator=generator())
+        assert question.value < 1e-12 and {question.first, question.second} == {0, 2}
+        assert question.worth == pytest.approx(question.information / 100)
+
+    def test_the_best_for_everybody_is_known_to_be_so(self):
+        """Of a choice between two preferences, the answer about these two is worth most."""
+        posterior = PreferencePosterior(("a", "b", "c"))
+        outcomes = torch.tensor([[[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [-2.0, -2.0, 0.0]]])
+        question = next_question(posterior, outcomes, generator=generator())
+        assert {question.first, question.second} == {0, 1}
+
+    def test_a_question_is_typical_of_the_average(self):
+        # In the last scene the two preferences have changed sides, further apart: an answer there
+        # tells most, and about the other scenes the wrong way round.
+        outcomes = torch.tensor([[[1.0, -1.0], [-1.0, 1.0]]] * 3 + [[[-2.0, 2.0], [2.0, -2.0]]])
+        posterior = PreferencePosterior(TWO)
+        scenes = {
+            next_question(posterior, outcomes, typical=typical, generator=generator()).scene
+            for typical in (0.3, 0.7)
+        }
+        assert scenes <= {0, 1, 2}
+        assert next_question(posterior, outcomes, typical=1.0, generator=generator()).scene == 3
+
+    @pytest.mark.parametrize("typical", [0.0, 1.5, math.nan, "all"])
+    def test_share_of_typical_questions(self, typical):
+        with pytest.raises(ValueError, match="typical must be above 0 and at most 1, got"):
+            next_question(PreferencePosterior(TWO), torch.eye(2)[None], typical=typical)
+
+    def test_shapes(self):
+        with pytest.raises(ValueError, match="2 objectives in their last dimension"):
+            value_of_information(PreferencePosterior(TWO), [[1, 0]], [[0, 1]], torch.zeros(3, 3))
 
 
 class TestRecommendation:
