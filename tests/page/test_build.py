@@ -75,7 +75,7 @@ def test_what_the_page_cannot_hold_is_refused(sources, message, tmp_path):
 def test_the_page_is_one_small_file_of_data_and_program(tmp_path, capsys):
     output = tmp_path / "new" / "page.html"
     run_here(main, "--output", str(output))
-    assert f"page: {output} (2.5 MB)" in capsys.readouterr().out  # docs/how_to/page.md says so
+    assert f"page: {output} (2.6 MB)" in capsys.readouterr().out  # docs/how_to/page.md says so
     text = output.read_text()
     assert not re.search(r"(src|href)=\"(?!data:)", text)  # nothing from elsewhere
     assert not re.search(r"/\*[A-Z]+\*/", text)
