@@ -20,7 +20,7 @@ const SCENES = {
 
 const POLICIES = {
   navigation: "navigation, for people who stand",
-  moving_humans: "moving_humans, for people who walk",
+  everyday: "everyday, for people who walk",
 };
 
 export const byId = (id) => document.getElementById(id);

@@ -31,7 +31,7 @@ def main() -> None:
         nargs="+",
         default=list(SHIPPED),
         metavar="FOLDER",
-        help="policies, the first is shown first (default: navigation and moving_humans)",
+        help="policies, the first is shown first (default: navigation and everyday)",
     )
     parser.add_argument(
         "--scene",

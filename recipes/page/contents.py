@@ -19,7 +19,7 @@ from torchrl_morl.deploy import load_policy
 from torchrl_morl.deploy.networks import describe_mlp
 
 _POLICIES = Path(__file__).resolve().parents[1] / "policies"
-SHIPPED = (_POLICIES / "navigation", _POLICIES / "moving_humans")
+SHIPPED = (_POLICIES / "navigation", _POLICIES / "everyday")
 """One that knows people who stand, one that knows people who walk."""
 
 RECORDING = "empty"

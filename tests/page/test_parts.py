@@ -184,17 +184,17 @@ def test_a_link_comes_back_and_nonsense_is_named(call):
 
 def test_a_preference_is_for_the_objectives_of_its_policy(call, page):
     """Whoever walks is met by the other policy. It keeps the preference, if it weighs the same objectives."""
-    assert call("motion", page, "walks") == ["moving_humans", [1, 0, 0]]
-    walking = page["policies"]["moving_humans"]
-    other = page["policies"] | {"moving_humans": {**walking, "static": {"core": 1, "demo": 1}}}
-    assert call("motion", {**page, "policies": other}, "walks") == ["moving_humans", [0.5, 0.5]]
+    assert call("motion", page, "walks") == ["everyday", [1, 0, 0]]
+    walking = page["policies"]["everyday"]
+    other = page["policies"] | {"everyday": {**walking, "static": {"core": 1, "demo": 1}}}
+    assert call("motion", {**page, "policies": other}, "walks") == ["everyday", [0.5, 0.5]]
 
 
 def test_a_policy_that_knows_who_walks_and_who_stands_goes_on_with_both(call, page):
     both = {**page["policies"]["navigation"], "walking": None}
     for policies in (
         {"both": both, "navigation": page["policies"]["navigation"]},
-        {"moving_humans": page["policies"]["moving_humans"], "both": both},
+        {"walks": {**page["policies"]["everyday"], "walking": True}, "both": both},
     ):
         for motion in ("stands", "walks"):
             assert call("motion", {**page, "policies": policies}, motion)[0] == "both"
