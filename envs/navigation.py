@@ -218,10 +218,15 @@ class NavigationEnv(BatchedMujocoEnv):
         super().load_simulation_state(state)
         self._task.load_state_dict(state["task"])
         self._scenes.load_state_dict(state["scenes"])
-        self._pending = state["pending"].clone()
         self.robots.numbers[:] = state["robots"]
-        self._faults = state["faults"].clone()
         self._fault_rng.set_state(state["fault_generator"])
+        if state["pending"].shape == self._pending.shape:
+            self._pending = state["pending"].clone()
+            self._faults = state["faults"].clone()
+        else:
+            # Of other faults, which remember another number of commands: those of this environment begin.
+            self._pending.zero_()
+            self._faults = self.faults.draw(self.num_envs, self._fault_rng)
         self._began = state["began"].copy()
 
     def _make_action_spec(self) -> Bounded:

@@ -105,3 +105,15 @@ def test_a_broken_state_is_refused(tmp_path):
     options = {"map_location": None, "tensor_load_kwargs": {}, "args": (), "kwargs": {}}
     with pytest.raises(ValueError, match="holds no state"):
         SafeStateAdapter().load(_Holder(), folder, **options)
+
+
+@pytest.mark.parametrize("now", [{"latency": (0, 1)}, {"latency": 3, "lag": 0.1}, None])
+def test_episodes_go_on_with_the_faults_of_the_environment_that_they_go_on_in(now):
+    def make(faults):
+        return NavigationEnv(num_envs=4, num_rays=30, seed=0, num_threads=1, faults=faults)
+
+    env, other = make({"latency": (0, 3)}), make(now)
+    env.rollout(3)
+    other.load_simulation_state(env.simulation_state())
+    assert (other.simulation_state()["rows"] == env.simulation_state()["rows"]).all()
+    assert other.rollout(6).shape[-1] == 6
