@@ -152,12 +152,8 @@ class NavigationEnv(BatchedMujocoEnv):
             camera=camera,
             **kwargs,
         )
-        self._lidar = Lidar(
-            self.robot,
-            num_rays=num_rays,
-            max_range=max_range,
-            dtype=np.float64 if self.faults.disturb_scans else self._array_dtype,
-        )
+        exact = np.float64 if self.faults.disturb_scans else self._array_dtype
+        self._lidar = Lidar(self.robot, num_rays=num_rays, max_range=max_range, dtype=exact)
         absent = self.scene.num_people is not None
         self._perception = Perception(self._lidar, self.faults, self._fault_rng, absent, self.dtype)
 
@@ -220,13 +216,12 @@ class NavigationEnv(BatchedMujocoEnv):
         self._scenes.load_state_dict(state["scenes"])
         self.robots.numbers[:] = state["robots"]
         self._fault_rng.set_state(state["fault_generator"])
-        if state["pending"].shape == self._pending.shape:
-            self._pending = state["pending"].clone()
-            self._faults = state["faults"].clone()
-        else:
+        drawn, pending = state["faults"], state["pending"]
+        if pending.shape != self._pending.shape:
             # Of other faults, which remember another number of commands: those of this environment begin.
-            self._pending.zero_()
-            self._faults = self.faults.draw(self.num_envs, self._fault_rng)
+            drawn = self.faults.draw(len(drawn), self._fault_rng)
+            pending = torch.zeros_like(self._pending)
+        self._pending, self._faults = pending.clone(), drawn.clone()
         self._began = state["began"].copy()
 
     def _make_action_spec(self) -> Bounded:

@@ -108,12 +108,14 @@ class PeopleSampler:
         self._stand = [each[:2] == each[2:4] and each[4] == (0.0, 0.0) for each in people]
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, PeopleSampler) and self._key() == other._key()
+        return isinstance(other, PeopleSampler) and self.numbers == other.numbers
 
     def __hash__(self) -> int:
-        return hash(self._key())
+        return hash(self.numbers)
 
-    def _key(self) -> tuple[float, ...]:
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """All that it draws from; samplers with the same numbers are equal."""
         return self.num_people, self.num_boxes, *self._low.tolist(), *self._high.tolist()
 
     def __call__(self, n: int, robot_radius: float, generator: torch.Generator) -> TensorDict:

@@ -125,7 +125,7 @@ def test_the_observation_in_closed_form():
         nobody=torch.zeros(1),
         robot=robot,
     )
-    expected = [0.0, math.log(0.2 / 4) / 3, 1, 0, 1, 1, 0, 1, 2, -1, 0, 1, 0.5, 1, 0.5, 0.5, 0]
+    expected = [0.0, math.log(0.2 / 4) / 3, 1, 0, 1, 1, 0, 1, 2, -1, 0, 1, 0.5, 1, 0.5, 0.4, 0]
     assert features.tolist() == pytest.approx(expected, abs=1e-6)
     row = torch.cat(
         [torch.tensor([4.25, 0.45, 5, 0, 2, 0, 1, -0.5, 0]), robot, torch.tensor([0.2, 0.8])]
