@@ -15,6 +15,9 @@ from recipes.scalarized import sac, td3
 from tests._command import ROOT, run_here
 from tests._drex import TINY as DREX
 
+SEEN = "env.observe_nobody=true"
+"""Costs of MO-PPO ask who stands there."""
+ELSEWHERE = ("demonstrations.standing_only=true", "loss.elsewhere_coeff=1", "loss.mirror_coeff=1")
 OBJECTIVES = ("core", "demo", "distance", "efficiency", "clearance")
 PREFERENCES = (*OBJECTIVES[1:], "balanced")
 TRAINING = (
@@ -23,6 +26,7 @@ TRAINING = (
     "env.num_threads=1",
     "env.objectives=[core,distance,efficiency,clearance]",
     "env.max_episode_steps=20",
+    SEEN,
     "evaluation.episodes=2",
     "network.num_cells=[16,16]",
     "logger.backends=[csv]",
@@ -55,12 +59,12 @@ def runs(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("runs")
     model = f"demonstrations.reward_model={folder}/drex/reward_model"
     policy = f"policy={folder}/pd_morl/policies/000000192"
-    run_here(drex.main, *DREX, "bfloat16=false", f"hydra.run.dir={folder}/drex")
+    run_here(drex.main, *DREX, SEEN, "bfloat16=false", f"hydra.run.dir={folder}/drex")
     for name, main, given in (
         ("pd_morl", pd_morl.main, (*OFF_POLICY, "compute.compile=false")),
         ("td3", td3.main, OFF_POLICY),
         ("sac", sac.main, OFF_POLICY),
-        ("mo_ppo", mo_ppo.main, (policy, "loss.mirror_coeff=1", *ON_POLICY)),
+        ("mo_ppo", mo_ppo.main, (policy, *ELSEWHERE, *ON_POLICY)),
     ):
         run_here(main, *given, model, f"hydra.run.dir={folder}/{name}")
     names = ("drex", "pd_morl", "mo_ppo", "td3", "sac")
