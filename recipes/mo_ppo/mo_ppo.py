@@ -60,13 +60,13 @@ def main(cfg: DictConfig) -> None:
     optimizers = make_optimizers(cfg, loss)
     tunable = task.preference_space.tunable
     demo = tunable.index("demo") if "demo" in tunable else None
-    # What it started as, if that is worth keeping: the anchor holds it where the style is preferred.
     efficiency = tunable.index("efficiency") if "efficiency" in tunable else None
     if cfg.loss.elsewhere_coeff and (demo is None or efficiency is None):
         raise ValueError(
             "loss.elsewhere_coeff must be 0 without the objectives demo and efficiency, got "
             f"{cfg.loss.elsewhere_coeff}."
         )
+    # What it started as, if that is worth keeping: the anchor holds it where the style is preferred.
     has_style = cfg.policy is not None or clones(cfg)
     anchored = demo is not None and has_style and cfg.loss.anchor_coeff > 0
     start = copy.deepcopy(actor).requires_grad_(False) if anchored else None
