@@ -57,7 +57,6 @@ class Policy {
   std::array<double, 2> act(const std::vector<double>& preference, const std::vector<double>& lidar, Polar goal,
                             std::optional<Polar> human = {}, std::optional<Velocity> human_velocity = {},
                             std::optional<Robot> which = {}) const {
-    if (!sensing.observe_robot) which.reset();
     sensing.check(which);
     if (lidar.size() != sensing.num_sectors)
       throw std::invalid_argument("lidar must have " + std::to_string(sensing.num_sectors) + " entries, got " +
