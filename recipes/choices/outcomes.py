@@ -65,13 +65,17 @@ def outcomes_of(policy_folder: Path, *, drives: Path = DRIVES) -> Outcomes:
     Raises:
         ValueError: for a policy whose drives cannot be compared, or a file that is refused.
     """
-    policy = load_policy(policy_folder)
-    trained = trained_in(policy.card)
-    setting = trained.with_one_robot.with_one_human
+    setting = trained_in(load_policy(policy_folder).card).with_one_robot.with_one_human
     if SHIPPED.exists() and request_of(SHIPPED) == dataclasses.asdict(
         _request(policy_folder, setting)
     ):
         return load(SHIPPED)
+    return _driven(policy_folder, drives)
+
+
+def _driven(policy_folder: Path, drives: Path) -> Outcomes:
+    trained = trained_in(load_policy(policy_folder).card)
+    setting = trained.with_one_robot.with_one_human
     # None is the scene of the training, which may come from a file.
     scene = None if setting.scene == trained.scene else setting.scene.name
     result, _ = obtain(policy_folder, scene, scenes=NUM_SCENES, seed=SEED, folder=drives)
@@ -136,8 +140,8 @@ def main() -> None:
     """Make the shipped file anew."""
     Parser(prog="python -m recipes.choices.outcomes", description=__doc__).parse_args()
     torch.set_num_threads(1)
-    SHIPPED.unlink(missing_ok=True)
-    found = outcomes_of(SHIPPED_POLICY)
+    # The old file stays until there is another.
+    found = _driven(SHIPPED_POLICY, DRIVES)
     setting = trained_in(load_policy(SHIPPED_POLICY).card).with_one_robot.with_one_human
     save(SHIPPED, found, _request(SHIPPED_POLICY, setting))
     print(f"written: {SHIPPED}")
