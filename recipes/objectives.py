@@ -21,6 +21,9 @@ Values = Callable[[str], NDArray[np.float64]]
 DEMO = "demo"
 """The objective that is learned from demonstrations."""
 
+EFFICIENCY = "efficiency"
+"""The objective that every step costs the same."""
+
 PERSONAL_SPACE = 2.0
 """Distance from which on the human does not care, metres: d_thresh of the paper."""
 
@@ -87,7 +90,7 @@ OBJECTIVES: dict[str, Objective] = {
             goodness=_distance_goodness,
         ),
         Objective(
-            name="efficiency",
+            name=EFFICIENCY,
             label="efficiency",
             color="#f2b705",
             metric="time",

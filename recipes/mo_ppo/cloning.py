@@ -7,7 +7,7 @@ import tqdm
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
-from recipes.objectives import DEMO
+from recipes.objectives import DEMO, EFFICIENCY
 from recipes.training.task import Task, check_observation
 from torchrl_morl.data import load_demonstrations
 from torchrl_morl.preferences import PreferenceSpace
@@ -23,10 +23,11 @@ def clones(cfg: DictConfig) -> bool:
 def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
     """Let an actor imitate the demonstrations, the more the style is preferred; in place.
 
-    The squared error of the action, weighed by the cube of the preference for the style, and the square of
-    the action itself, half the speed straight ahead, weighed by the cube of the rest. Preferences that
-    start in the style are slow to get away from it: whoever is to keep his distance passes as near. And
-    who starts slowly finds wider ways than who starts at full speed.
+    The squared error of the action, weighed by the cube of the preference for the style, and that of
+    driving straight ahead, weighed by the cube of the rest. Preferences that start in the style are slow
+    to get away from it: whoever is to keep his distance passes as near. And who starts slowly finds wider
+    ways than who starts at full speed: straight ahead it is half the speed, and
+    ``optim.cloning_speed`` of it with all weight on efficiency.
 
     Args:
         cfg: nothing happens without ``demonstrations.dataset``.
@@ -44,6 +45,9 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
     steps = data.select("observation", "action")[data["mask"]].to(task.device)
     space: PreferenceSpace = task.preference_space
     demo = space.tunable.index(DEMO)
+    # Actions are in [-1, 1], from standing to top speed.
+    faster = 2 * cfg.optim.cloning_speed - 1
+    hurry = space.tunable.index(EFFICIENCY) if EFFICIENCY in space.tunable else None
     generator = torch.Generator().manual_seed(cfg.seed)
     optimizer = torch.optim.Adam(actor.parameters(), lr=_LR)
     with tqdm.tqdm(total=updates, desc="cloning", unit="update") as progress:
@@ -58,9 +62,12 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
             wanted = batch["action"]
             action = actor(batch.select("observation").set("preference", preference))["action"]
             share = preference[..., demo]
+            ahead = torch.zeros_like(action)
+            if hurry is not None:
+                ahead[..., 0] = faster * preference[..., hurry]
             loss = (
                 share**3 * (action - wanted).square().sum(-1)
-                + (1 - share) ** 3 * action.square().sum(-1)
+                + (1 - share) ** 3 * (action - ahead).square().sum(-1)
             ).mean()
             optimizer.zero_grad()
             loss.backward()

@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from recipes.objectives import EFFICIENCY
 from recipes.training import command, on_policy
 from recipes.training.agent import make_actor, make_averaged
 from recipes.training.corner_evaluation import CornerEvaluation
@@ -60,7 +61,7 @@ def main(cfg: DictConfig) -> None:
     optimizers = make_optimizers(cfg, loss)
     tunable = task.preference_space.tunable
     demo = tunable.index("demo") if "demo" in tunable else None
-    efficiency = tunable.index("efficiency") if "efficiency" in tunable else None
+    efficiency = tunable.index(EFFICIENCY) if EFFICIENCY in tunable else None
     if cfg.loss.elsewhere_coeff and (demo is None or efficiency is None):
         raise ValueError(
             "loss.elsewhere_coeff must be 0 without the objectives demo and efficiency, got "

@@ -14,6 +14,7 @@ from recipes.training.fields import (
     DemonstrationFile,
     Device,
     NotNegative,
+    NotPositive,
     Objectives,
     PolicyFolder,
     Positive,
@@ -93,6 +94,9 @@ class Demonstrations(Section):
     standing_only: bool = Field(
         description="Whether the style pays only where somebody stands, as in what was demonstrated."
     )
+    collision_reward: NotPositive = Field(
+        description="Added to the objective demo for a collision, if there is one, beside what all preferences pay."
+    )
 
     @model_validator(mode="after")
     def _have_an_objective(self) -> Demonstrations:
@@ -158,6 +162,9 @@ class Optim(ppo_schema.Optim):
 
     cloning_updates: CountOrNone = Field(
         description="Updates of behaviour cloning before everything else, of a training from nothing."
+    )
+    cloning_speed: Share = Field(
+        description="Share of the top speed at which the clone drives with all weight on efficiency."
     )
     penalty_batch_size: Count = Field(
         description="Transitions of an update that anchor and smoothness are taken of."

@@ -133,6 +133,7 @@ ValidationSeed = Annotated[int, Field(ge=VALIDATION_SEEDS.start, le=VALIDATION_S
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+NotPositive = Annotated[float, Field(le=0)]
 
 Share = Annotated[float, Field(ge=0, le=1)]
 """From nothing to all."""

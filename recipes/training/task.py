@@ -29,13 +29,14 @@ from envs.policy_env import (
 from envs.splits import check_validation_seed, training_seed
 from recipes.evaluation.setting import demonstration_on
 from recipes.evaluation.sweep import scene_layout
-from recipes.objectives import reward_objectives
+from recipes.objectives import DEMO, reward_objectives
 from torchrl_morl.deploy import load_reward_model
 from torchrl_morl.deploy.features import observation_parts
 from torchrl_morl.modules import RewardModel
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
 
+from .collisions import CollisionReward
 from .gradients import use_bfloat16
 from .people import WhereSomebodyStands
 from .run_folder import check_run_dir
@@ -161,7 +162,11 @@ def make_train_env(
     )
     # Never the scenes of an evaluation.
     seed = training_seed(cfg.seed)
-    return make_policy_env(sampler, reward_model=reward_model, seed=seed, **cfg.env)
+    env = make_policy_env(sampler, reward_model=reward_model, seed=seed, **cfg.env)
+    cost = cfg.demonstrations.get("collision_reward")
+    if cost and reward_model is not None:
+        env.append_transform(CollisionReward(cost, entry=preference_space.objectives.index(DEMO)))
+    return env
 
 
 def make_worker_env(

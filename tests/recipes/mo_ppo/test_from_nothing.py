@@ -83,13 +83,14 @@ def demonstrated(tmp_path) -> tuple[str, str]:
 
 def test_clones_demonstrations_first(tmp_path, demonstrated):
     """The actor waits for the critic: what is saved is the clone."""
-    errors, elsewhere = [], []
+    errors, elsewhere = [], {}
     for updates in (0, 1000):
         folder = nothing(
             tmp_path / str(updates),
             *demonstrated,
             f"optim.cloning_updates={updates}",
             "optim.critic_batches=100",
+            "optim.cloning_speed=0.8",
         )
         policy = load_policy(folder / "policies" / "000000128")
         corner = policy.preference_space.corners()[policy.preference_space.tunable.index("demo")]
@@ -100,11 +101,16 @@ def test_clones_demonstrations_first(tmp_path, demonstrated):
         )
         action = policy.actor(inputs)["action"]
         errors.append((action - torch.tensor([0.5, -0.25])).square().mean().item())
-        inputs["preference"] = (1 - corner).div(2).expand(50, -1)
-        elsewhere.append(policy.actor(inputs)["action"].square().mean().item())
+        for name, speed in (("distance", 0.0), ("efficiency", 0.6)):
+            corner = policy.preference_space.corners()[
+                policy.preference_space.tunable.index(name)
+            ]
+            inputs["preference"] = corner.expand(50, -1)
+            action = policy.actor(inputs)["action"]
+            elsewhere[name] = (action - torch.tensor([speed, 0.0])).square().mean().item()
     assert errors[1] < 0.02 < errors[0]
-    # Where the style is not wished nothing is imitated.
-    assert max(elsewhere) < 0.03
+    # Where the style is not wished nothing is imitated: half the speed for distance, 0.8 for efficiency.
+    assert max(elsewhere.values()) < 0.03, elsewhere
 
 
 def test_the_noise_falls_geometrically():
