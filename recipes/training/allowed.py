@@ -107,6 +107,8 @@ def limits(annotation: Any, metadata: tuple) -> str:
         if above == 0:
             return "positive"
         return "" if low is None else ("not negative" if low == 0 else f"at least {low}")
+    if low is None and above is None and below is None:
+        return f"at most {high:g}"
     left = f"[{low:g}" if low is not None else f"({above:g}"
     right = f"{high:g}]" if high is not None else f"{below:g})"
     return f"in {left}, {right}"
