@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import ExcludeTransform, TransformedEnv
 
@@ -21,7 +22,13 @@ from .robot_ranges import get_robots, largest
 from .robots import Robot
 from .scene_files import get_scene
 
-OBSERVED = ("observe_human", "observe_human_velocity", "observe_nobody", "observe_robot")
+OBSERVED = (
+    "observe_human",
+    "observe_human_velocity",
+    "observe_nobody",
+    "observe_robot",
+    "observe_motion",
+)
 """Arguments of :func:`make_policy_env` that say what the policy observes."""
 
 
@@ -38,6 +45,34 @@ def simulated(arguments: Mapping[str, Any]) -> dict[str, Any]:
 def observation_size(arguments: Mapping[str, Any]) -> int:
     """Entries of the observation under these arguments of :func:`make_policy_env`."""
     return sum(map(len, observation_parts(**observed(arguments)).values()))
+
+
+def shown_size(arguments: Mapping[str, Any]) -> int:
+    """Entries that demonstrations have under these arguments: all but the robot's own motion.
+
+    A style is where and how fast a robot drives, not what it was told to do before.
+    """
+    return observation_size({**observed(arguments), "observe_motion": False})
+
+
+class WithoutMotion(TensorDictModuleBase):
+    """A reward model among observations that end with the robot's own motion, which it does not read.
+
+    Args:
+        reward_model: reads ``observation`` ``[*B, size]``.
+        size: entries of the observation without the motion.
+    """
+
+    def __init__(self, reward_model: TensorDictModuleBase, size: int) -> None:
+        super().__init__()
+        self.reward_model, self.size = reward_model, size
+        self.in_keys, self.out_keys = list(reward_model.in_keys), list(reward_model.out_keys)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the scores."""
+        seen = tensordict.copy().set("observation", tensordict["observation"][..., : self.size])
+        scores = self.reward_model(seen)
+        return tensordict.update(scores.select(*self.out_keys))
 
 
 def sensing(arguments: Mapping[str, Any]) -> Sensing:
@@ -112,6 +147,7 @@ def make_policy_env(
     observe_human_velocity: bool = False,
     observe_nobody: bool = False,
     observe_robot: bool = False,
+    observe_motion: bool = False,
     **kwargs: Any,
 ) -> TransformedEnv:
     """A :class:`NavigationEnv` as a preference-conditioned policy sees it.
@@ -130,6 +166,8 @@ def make_policy_env(
         observe_human_velocity: see :func:`policy_transforms`; for humans who walk.
         observe_nobody: see :func:`policy_transforms`; for scenes without anybody.
         observe_robot: see :func:`policy_transforms`; for robots that differ.
+        observe_motion: see :func:`policy_transforms`; for commands that take effect late. A reward model
+            does not read it.
         **kwargs: see :class:`NavigationEnv`.
 
     Returns:
@@ -144,6 +182,7 @@ def make_policy_env(
         "observe_human_velocity": observe_human_velocity,
         "observe_nobody": observe_nobody,
         "observe_robot": observe_robot,
+        "observe_motion": observe_motion,
     }
     if policy is not None:
         check_policy(policy, {**observes, **kwargs})
@@ -158,6 +197,8 @@ def make_policy_env(
     if sampler is not None:
         transforms.append(sampler)
     if reward_model is not None:
+        if observe_motion:
+            reward_model = WithoutMotion(reward_model, shown_size(observes))
         transforms.append(RewardModelReward(reward_model, position=1))
     if not keep_simulation:
         transforms.append(ExcludeTransform("scan", "lidar"))

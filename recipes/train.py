@@ -156,7 +156,8 @@ def check(options: dict[str, Any], output: Path) -> None:
         option = f"--{name.replace('_', '-')}"
         found[name] = check_stage(option, module, command[1:], output)
     learner = "pd_morl" if plan.with_pd_morl else "mo_ppo"
-    for field in OBSERVED:
+    shown = found["drex"]["env"]
+    for field in filter(shown.__contains__, OBSERVED):
         one, other = (found[name]["env"][field] for name in ("drex", learner))
         if other is None:  # as it is from nothing
             other = field == "observe_human"

@@ -257,6 +257,8 @@ def test_no_drawer_for_odds_and_ends():
 
 def test_a_file_can_be_read_in_one_sitting():
     lines = {str(p.relative_to(ROOT)): len(p.read_text().splitlines()) for p in sources()}
+    # One file that is copied to a robot, and may import nothing of the library.
+    del lines["torchrl_morl/deploy/onnx_runner.py"]
     assert {name: n for name, n in lines.items() if n > MOST_LINES} == {}
 
 

@@ -7,9 +7,12 @@ import tqdm
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
+from envs.policy_env import shown_size
+from envs.robot_ranges import get_robots, largest
 from recipes.objectives import DEMO, EFFICIENCY
 from recipes.training.task import Task, check_observation
 from torchrl_morl.data import load_demonstrations
+from torchrl_morl.deploy.sensing import NUM_MOTION
 from torchrl_morl.preferences import PreferenceSpace
 
 _BATCH, _LR = 512, 1.0e-3
@@ -41,13 +44,17 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
     if not clones(cfg):
         return
     data, _ = load_demonstrations(path)
-    check_observation(cfg, path, data["observation"].shape[-1])
+    check_observation(cfg, path, data["observation"].shape[-1], shown_size(cfg.env))
     steps = data.select("observation", "action")[data["mask"]].to(task.device)
     space: PreferenceSpace = task.preference_space
     demo = space.tunable.index(DEMO)
     # Actions are in [-1, 1], from standing to top speed.
     faster = 2 * cfg.optim.cloning_speed - 1
     hurry = space.tunable.index(EFFICIENCY) if EFFICIENCY in space.tunable else None
+    robot = largest(get_robots(cfg.env.robot))
+    # Shares of the largest, where robots differ.
+    limits = (1.0, 1.0) if cfg.env.observe_robot else (robot.max_speed, robot.max_turn_rate)
+    largest_motion = torch.tensor(limits).repeat(NUM_MOTION // 2)
     generator = torch.Generator().manual_seed(cfg.seed)
     optimizer = torch.optim.Adam(actor.parameters(), lr=_LR)
     with tqdm.tqdm(total=updates, desc="cloning", unit="update") as progress:
@@ -59,6 +66,11 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
                 _BATCH, distribution=cfg.preference.distribution, generator=generator
             ).to(task.device)
             preference[: _BATCH // 2] = space.corners()[demo]
+            if cfg.env.get("observe_motion"):
+                # Any: what was demonstrated came of what was seen, not of the last command.
+                motion = torch.rand(_BATCH, NUM_MOTION, generator=generator) * 2 - 1
+                motion = (motion * largest_motion).to(task.device)
+                batch["observation"] = torch.cat((batch["observation"], motion), -1)
             wanted = batch["action"]
             action = actor(batch.select("observation").set("preference", preference))["action"]
             share = preference[..., demo]

@@ -59,6 +59,9 @@ class Env(schema.Env):
     observe_robot: bool | None = Field(
         description="Whether the policy knows which robot it drives; null is as it was trained."
     )
+    observe_motion: bool | None = Field(
+        description="Whether the policy knows how it moves, and its last commands; null is as it was trained."
+    )
     drive: Literal["planar", "wheels"] | None = Field(
         description="Velocity servos, or wheels with rolling contact; null is as it was trained."
     )

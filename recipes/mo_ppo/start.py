@@ -19,6 +19,7 @@ FROM_NOTHING = {
         "observe_human_velocity": False,
         "observe_nobody": False,
         "observe_robot": False,
+        "observe_motion": False,
         "drive": "planar",
         "goal_radius": 0.3,
         "max_episode_steps": 300,

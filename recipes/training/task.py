@@ -24,6 +24,7 @@ from envs.policy_env import (
     observation_size,
     observed,
     observed_size,
+    shown_size,
     simulated,
 )
 from envs.splits import check_validation_seed, training_seed
@@ -121,13 +122,25 @@ def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | 
     members = model.module.members
     sizes = [layer.out_features for layer in members[0] if isinstance(layer, nn.Linear)]
     RewardModel(in_features=model.in_features, num_cells=sizes[:-1], num_members=len(members))
-    check_observation(cfg, folder, observed_size(model))
+    check_observation(cfg, folder, observed_size(model), shown_size(cfg.env))
     return model, card
 
 
-def check_observation(cfg: DictConfig, source: str, size: int) -> None:
-    """Refuse what was made with another observation than the one of this training."""
-    expected = observation_size(cfg.env)
+def check_observation(
+    cfg: DictConfig, source: str, size: int, expected: int | None = None
+) -> None:
+    """Refuse what was made with another observation than the one of this training.
+
+    Args:
+        cfg: the configuration.
+        source: what messages call that.
+        size: of its observation.
+        expected: what it should be; all that this training observes, if ``None``.
+
+    Raises:
+        ValueError: in one line.
+    """
+    expected = observation_size(cfg.env) if expected is None else expected
     if size != expected:
         raise ValueError(
             f"{source} is about observations of {size} entries, here they have {expected}: both recipes "

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torchrl.envs import ActionScaling, CatTensors, Compose, UnaryTransform
+from torchrl.envs import ActionScaling, CatTensors, Compose, RenameTransform, UnaryTransform
+from torchrl.envs.transforms import Transform
 
 from torchrl_morl.transforms import (
     CheckFinite,
     LidarMinPool,
     LogRange,
+    OwnMotion,
     PolarFeatures,
     VelocityInFrame,
 )
@@ -21,12 +23,14 @@ from torchrl_morl.transforms.robot import (
     HullRange,
     InUnitsOf,
     IsNobody,
+    MotionInUnits,
     RobotScale,
     hull_ranges,
+    motion_in_units,
 )
 
-from .onnx_runner import FASTEST_HUMAN
-from .sensing import NUM_ROBOT, Sensing
+from .onnx_runner import FASTEST_HUMAN, NUM_COMMANDS
+from .sensing import NUM_MOTION, NUM_ROBOT, Sensing
 
 __all__ = [
     "GOAL_SCALE",
@@ -50,6 +54,7 @@ PARTS = {
     "human_velocity": 2,
     "nobody": 1,
     "robot": NUM_ROBOT,
+    "motion": NUM_MOTION,
 }
 """What the observation can have, in this order, and how many entries each part takes."""
 
@@ -65,6 +70,7 @@ def observation_parts(
     observe_human_velocity: bool = False,
     observe_nobody: bool = False,
     observe_robot: bool = False,
+    observe_motion: bool = False,
 ) -> dict[str, range]:
     """Where the parts of the observation of :func:`policy_transforms` lie.
 
@@ -77,6 +83,7 @@ def observation_parts(
         "human_velocity": observe_human_velocity,
         "nobody": observe_nobody,
         "robot": observe_robot,
+        "motion": observe_motion,
     }
     for name, value in optional.items():
         if not isinstance(value, bool):
@@ -99,6 +106,7 @@ def policy_transforms(
     observe_human_velocity: bool = False,
     observe_nobody: bool = False,
     observe_robot: bool = False,
+    observe_motion: bool = False,
     range_min: float | None = None,
 ) -> Compose:
     """Transforms that build the policy's ``observation`` ``[*B, 36]`` and scale its action.
@@ -127,6 +135,9 @@ def policy_transforms(
         observe_nobody: one more entry: 1 where nobody is, else 0.
         observe_robot: six more entries say which robot it is, see :func:`observation`; ranges are then
             those to its hull, and the human's velocity is in units of its top speed. Reads ``robot``.
+        observe_motion: ten more entries: the speed and the turn rate of the last step, and the last
+            four commands, see :class:`~torchrl_morl.transforms.OwnMotion`; with ``observe_robot`` as
+            shares of the robot's largest. Reads ``pose``.
         range_min: for scans of a real lidar, which may be invalid or infinite: see
             :class:`~torchrl_morl.transforms.LidarMinPool`. Without it they are refused.
 
@@ -138,6 +149,7 @@ def policy_transforms(
         observe_human_velocity=observe_human_velocity,
         observe_nobody=observe_nobody,
         observe_robot=observe_robot,
+        observe_motion=observe_motion,
     )
     in_keys = [name if name in _AS_THEY_ARE else f"{name}_features" for name in parts]
     scales = {"goal": GOAL_SCALE} | ({"human": HUMAN_SCALE} if observe_human else {})
@@ -172,6 +184,7 @@ def policy_transforms(
             if observe_robot
             else []
         ),
+        *(_motion_transforms(period, in_units=observe_robot) if observe_motion else []),
         CatTensors(
             in_keys=in_keys,
             out_key="observation",
@@ -179,6 +192,17 @@ def policy_transforms(
             sort=False,
         ),
     )
+
+
+def _motion_transforms(period: float, *, in_units: bool) -> list[Transform]:
+    key, features = "motion", "motion_features"
+    return [
+        OwnMotion(out_key=key, period=period, num_commands=NUM_COMMANDS),
+        MotionInUnits(key, features)
+        if in_units
+        # A copy: the next step needs the motion, of which the observation takes the features.
+        else RenameTransform([key], [features], create_copy=True),
+    ]
 
 
 def observation(
@@ -190,6 +214,7 @@ def observation(
     human_velocity: Tensor | None = None,
     nobody: Tensor | None = None,
     robot: Tensor | None = None,
+    motion: Tensor | None = None,
 ) -> Tensor:
     """What the network reads: the same features as those of :func:`policy_transforms`.
 
@@ -206,6 +231,8 @@ def observation(
         nobody: 1 where nobody is, else 0, ``[*B, 1]``, likewise.
         robot: likewise, ``[*B, 6]``: radius (m), top speed (m/s), top turn rate (rad/s), view of the
             lidar (rad), its range (m), and how far ahead of the rotation centre it is (m).
+        motion: likewise, ``[*B, 10]``: measured speed (m/s) and turn rate (rad/s), and those of the last
+            four commands, the latest first.
 
     Returns:
         ``[*B, observation_size]``.
@@ -232,6 +259,8 @@ def observation(
         parts.append(nobody)
     if sensing.observe_robot:
         parts.append(RobotScale(sensing.max_range)(robot))
+    if sensing.observe_motion:
+        parts.append(motion_in_units(motion, robot) if sensing.observe_robot else motion)
     return torch.cat(parts, dim=-1)
 
 
@@ -267,11 +296,13 @@ class RowFeatures:
         self.observe_human_velocity = sensing.observe_human_velocity
         robot = ROBOT_SCALES if sensing.observe_robot else ()
         rest = [1.0] * (2 * sensing.observe_human_velocity + sensing.observe_nobody)
-        rest += [*robot, *([1.0] * num_tunable)]
+        rest += [*robot, *([1.0] * (NUM_MOTION * sensing.observe_motion + num_tunable))]
         sources += range(sources[-1] + 1, sources[-1] + 1 + len(rest))
         scales += rest
         # In the row, where bearings stand once.
-        self._robot = sources[-1] + 1 - num_tunable - len(robot)
+        self._motion = sources[-1] + 1 - num_tunable - NUM_MOTION * sensing.observe_motion
+        self._robot = self._motion - len(robot)
+        self.observe_motion = sensing.observe_motion
         self._velocity = self.num_sectors + 2 * self.num_positions
         self._human = self.num_sectors + 2
         self._mark = self._velocity + 2 * sensing.observe_human_velocity
@@ -285,8 +316,8 @@ class RowFeatures:
         """Features ``[*B, observation_size + T]``.
 
         Args:
-            row: lidar, goal, human, human_velocity, nobody and robot, as far as the policy reads them, and preference,
-                ``[*B, R]``. What stands behind them is ignored.
+            row: lidar, goal, human, human_velocity, nobody, robot and motion, as far as the policy reads
+                them, and preference, ``[*B, R]``. What stands behind them is ignored.
         """
         if self.observe_robot:
             row = self._of_hull(row)
@@ -320,5 +351,8 @@ class RowFeatures:
         lidar.copy_(hull_ranges(lidar, robot))
         if self.observe_human_velocity:
             row.narrow(-1, self._velocity, 2).div_(robot[..., TOP_SPEED, None])
+        if self.observe_motion:
+            motion = row.narrow(-1, self._motion, NUM_MOTION)
+            motion.copy_(motion_in_units(motion, robot))
         robot.narrow(-1, LIDAR_RANGE, 1).clamp_max_(self.max_range)
         return row

@@ -14,7 +14,7 @@ from torchrl_morl.transforms.robot import IsNobody
 from .features import observation
 from .lidar import SECTOR_EDGE, LidarGeometry, sector_of
 from .policy import Policy
-from .sensing import Limits, Sensing
+from .sensing import NUM_MOTION, Limits, Sensing
 
 __all__ = ["PolicyGraph", "SectorMinima"]
 
@@ -161,6 +161,7 @@ class PolicyGraph(nn.Module):
             "goal": 2,
             **({"human": 2} if reads.observe_human else {}),
             **({"human_velocity": 2} if reads.observe_human_velocity else {}),
+            **({"motion": NUM_MOTION} if reads.observe_motion else {}),
             "preference": policy.preference_space.num_tunable,
         }
         self.input_names = tuple(self.input_sizes)
@@ -171,6 +172,7 @@ class PolicyGraph(nn.Module):
         goal: Tensor,
         human: Tensor | None = None,
         human_velocity: Tensor | None = None,
+        motion: Tensor | None = None,
         *,
         preference: Tensor,
     ) -> Tensor:
@@ -182,6 +184,8 @@ class PolicyGraph(nn.Module):
             human: the same of the human, ``[B, 2]``, for policies that read it; nobody is
                 ``sensing.nobody``.
             human_velocity: over the ground, ahead and to the left, ``[B, 2]``, m/s, likewise.
+            motion: measured speed (m/s) and turn rate (rad/s), and those of the last four commands, the
+                latest first, ``[B, 10]``, for policies that read it.
             preference: ``[B, T]``, on the simplex.
         """
         features = observation(
@@ -192,6 +196,7 @@ class PolicyGraph(nn.Module):
             human_velocity=human_velocity,
             nobody=IsNobody(*self.sensing.nobody)(human) if self.sensing.observe_nobody else None,
             robot=None if self.robot is None else self.robot.expand(goal.shape[0], -1),
+            motion=motion,
         )
         action = self.layers(torch.cat([features, preference], dim=-1)).tanh()
         return self.middle + self.half_range * action

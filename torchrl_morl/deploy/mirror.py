@@ -7,17 +7,26 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from .sensing import NUM_MOTION
+
 __all__ = ["mirror_action", "mirror_observation"]
 
-_LATERAL = {"goal": 1, "human": 1, "human_velocity": 1, "nobody": None, "robot": None}
-"""The entry of each part that changes its sign: the sine of a bearing, the velocity to the left."""
+_LATERAL = {
+    "goal": (1,),
+    "human": (1,),
+    "human_velocity": (1,),
+    "nobody": (),
+    "robot": (),
+    "motion": tuple(range(1, NUM_MOTION, 2)),
+}
+"""The entries of each part that change their sign: sines of bearings, velocities to the left, turn rates."""
 
 
 def mirror_observation(observation: Tensor, parts: Mapping[str, Sequence[int]]) -> Tensor:
     """What the robot would observe in the mirror image of its surroundings.
 
-    The sectors of the lidar come in the other order, bearings and lateral velocities change their
-    sign. The lidar is one mounted on the axis of the robot.
+    The sectors of the lidar come in the other order, bearings, lateral velocities and turn
+    rates change their sign. The lidar is one mounted on the axis of the robot.
 
     Args:
         observation: of :func:`~torchrl_morl.deploy.features.policy_transforms`, ``[*B, D]``.
@@ -52,12 +61,9 @@ def mirror_observation(observation: Tensor, parts: Mapping[str, Sequence[int]]) 
         part = observation[..., places[0] : places[-1] + 1]
         if name == "lidar":
             images.append(part.flip(-1))
-        elif _LATERAL[name] is None:
-            images.append(part)
         else:
-            sign = [1.0] * len(places)
-            sign[_LATERAL[name]] = -1.0
-            images.append(part * part.new_tensor(sign))
+            sign = [-1.0 if entry in _LATERAL[name] else 1.0 for entry in range(len(places))]
+            images.append(part * part.new_tensor(sign) if _LATERAL[name] else part)
     return torch.cat(images, dim=-1)
 
 

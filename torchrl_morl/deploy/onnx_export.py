@@ -36,6 +36,10 @@ _UNITS = {
     "goal": {"entries": ["distance", "bearing"], "unit": ["m", "rad"]},
     "human": {"entries": ["distance", "bearing"], "unit": ["m", "rad"]},
     "human_velocity": {"entries": ["ahead", "left"], "unit": ["m/s", "m/s"]},
+    "motion": {
+        "entries": ["speed and turn rate, measured", "those of the last four commands, latest first"],
+        "unit": ["m/s", "rad/s"],
+    },
 }
 
 
@@ -98,6 +102,8 @@ def export_onnx(
     ``goal``            ``[B, 2]``  distance (m) and bearing (rad)
     ``human``           ``[B, 2]``  the same; nobody is ``sensing.nobody``. For policies that read it
     ``human_velocity``  ``[B, 2]``  over the ground, ahead and to the left, m/s, likewise
+    ``motion``          ``[B, 10]`` measured speed (m/s) and turn rate (rad/s), then those of the last
+                                    four commands, the latest first, likewise
     ``preference``      ``[B, T]``  weights of the tunable objectives
     ``command``         ``[B, 2]``  the output: speed (m/s) and turn rate (rad/s)
     ==================  ==========  =================================================================

@@ -11,6 +11,7 @@ is written here for both: the library imports it from here, since this file may 
 from __future__ import annotations
 
 import abc
+import collections
 import dataclasses
 import json
 import math
@@ -30,6 +31,7 @@ FORMAT = 1
 TOLERANCE = 1e-4  # how far the sum of a preference may be from one
 FASTEST_HUMAN = 3.0  # m/s; two positions further apart are not those of one person
 FORGET_HUMAN = 5  # periods after which a human who comes back is seen for the first time
+NUM_COMMANDS = 4  # last commands that a policy may read; after as many periods without any it stood
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +63,8 @@ class Runner(abc.ABC):
         nearest_goal: float,
         limits: Mapping[str, Sequence[float]],
         given: tuple[float | None, float | None, float | None, float | None],
+        *,
+        reads_motion: bool = False,
     ) -> None:
         goal_radius, timeout, max_speed, max_turn_rate = given
         fastest = {name: max(map(abs, limits[name])) for name in ("speed", "turn_rate")}
@@ -72,6 +76,10 @@ class Runner(abc.ABC):
         self._time: float | None = None
         self._human: tuple[float, float, float] | None = None
         self._velocity = (0.0, 0.0)
+        self.reads_motion = reads_motion
+        self._pose: tuple[float, float, float, float] | None = None
+        self._measured = (0.0, 0.0)
+        self._commands = collections.deque([(0.0, 0.0)] * NUM_COMMANDS, maxlen=NUM_COMMANDS)
 
     def step(
         self,
@@ -100,8 +108,26 @@ class Runner(abc.ABC):
                 Only for policies that read it.
             odometry: instead of ``human_velocity``: where the robot is in any fixed frame, x and y
                 (m) and heading (rad). The velocity is then that between two positions of the human;
-                at first sight it is 0.
+                at first sight it is 0. Needed by policies that read how the robot moves: that is what
+                changed since the last step, and what was commanded then.
         """
+        command = self._step(
+            ranges, goal, preference, stamp, time, human, human_velocity, odometry
+        )
+        self._commands.appendleft((command.speed, command.turn_rate))
+        return command
+
+    def _step(
+        self,
+        ranges: ArrayLike | None,
+        goal: Sequence[float] | None,
+        preference: Sequence[float],
+        stamp: float,
+        time: float,
+        human: Sequence[float] | None,
+        human_velocity: Sequence[float] | None,
+        odometry: Sequence[float] | None,
+    ) -> Command:
         last, self._time = self._time, time if _is_number(time) else self._time
         if not _is_number(time) or not _is_number(stamp):
             given = f"{_shown(time)} and {_shown(stamp)}"
@@ -128,6 +154,8 @@ class Runner(abc.ABC):
                 if human_velocity is None and odometry is not None:
                     human_velocity = self._velocity_of(human, odometry, stamp)
                 inputs["human_velocity"] = human_velocity
+            if self.reads_motion:
+                inputs["motion"] = self._motion(odometry, stamp)
             inputs["preference"] = preference
             speed, turn_rate = self._command(scan, inputs)
         except Exception as error:
@@ -148,7 +176,27 @@ class Runner(abc.ABC):
 
     @abc.abstractmethod
     def _command(self, scan: np.ndarray, inputs: dict[str, Any]) -> tuple[float, float]:
-        """Speed (m/s) and turn rate (rad/s); inputs are goal, human, its velocity and the preference."""
+        """Speed (m/s) and turn rate (rad/s); inputs are goal, human, its velocity and the preference, and
+        the robot's own motion for policies that read it.
+        """
+
+    def _motion(self, odometry: Sequence[float] | None, stamp: float) -> tuple[float, ...]:
+        """Measured speed and turn rate, and those of the last commands, the latest first."""
+        if odometry is None:
+            raise ValueError("this policy reads how the robot moves: give odometry=")
+        x, y, heading = numbers_of("odometry", odometry, "x, y and heading", 3)
+        last = self._pose
+        since = stamp - last[0] if last else math.inf
+        if since > 0:
+            self._pose = (stamp, x, y, heading)
+        if since > NUM_COMMANDS * self.period:  # nobody has told it anything for so long
+            self._measured = (0.0, 0.0)
+            self._commands.extend([(0.0, 0.0)] * NUM_COMMANDS)
+        elif since > 0:
+            ahead = math.cos(heading) * (x - last[1]) + math.sin(heading) * (y - last[2])
+            turned = math.remainder(heading - last[3], 2 * math.pi)
+            self._measured = ahead / since, turned / since
+        return (*self._measured, *(value for command in self._commands for value in command))
 
     def _velocity_of(
         self, human: tuple[float, float], odometry: Sequence[float], stamp: float
@@ -244,7 +292,13 @@ class OnnxRunner(Runner):
         self._reads = [value.name for value in self._session.get_inputs()]
         self._lidar, self._sensing = told["lidar"], told["sensing"]
         given = goal_radius, timeout, max_speed, max_turn_rate
-        super().__init__(told["period"], told["sensing"]["goal_range"][0], told["limits"], given)
+        super().__init__(
+            told["period"],
+            told["sensing"]["goal_range"][0],
+            told["limits"],
+            given,
+            reads_motion="motion" in self._reads,
+        )
 
     def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
         ranges = numeric_ranges(ranges, self._lidar["num_beams"])

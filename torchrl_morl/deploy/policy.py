@@ -21,7 +21,7 @@ from torchrl_morl.transforms import check_finite
 from .entries import one_line
 from .features import RowFeatures
 from .onnx_runner import TOLERANCE
-from .sensing import NUM_ROBOT, SMALLEST, Limits, Sensing
+from .sensing import NUM_MOTION, NUM_ROBOT, SMALLEST, Limits, Sensing
 
 __all__ = ["Policy"]
 
@@ -62,6 +62,7 @@ class Policy:
         human: ArrayLike | Tensor | None = None,
         human_velocity: ArrayLike | Tensor | None = None,
         robot: ArrayLike | Tensor | None = None,
+        motion: ArrayLike | Tensor | None = None,
     ) -> np.ndarray | Tensor:
         """Command for what is sensed, in physical units. Arrays, lists or tensors, of any dtype.
 
@@ -78,6 +79,8 @@ class Policy:
             robot: which robot it drives, ``[*B, 6]``, see
                 :func:`torchrl_morl.deploy.features.observation`; its limits are then those of the
                 command. For policies that read it.
+            motion: how it moves, ``[*B, 10]``: measured speed (m/s) and turn rate (rad/s), then those of
+                the last four commands, the latest first. For policies that read it.
 
         Returns:
             Forward speed (m/s) and turn rate (rad/s), ``[*B, 2]``: a tensor if an input is one,
@@ -120,6 +123,13 @@ class Policy:
             given["nobody"] = (0.0,)  # the place of the mark, which is set below
         if sensing.observe_robot:
             given["robot"] = sensing.robot(robot) if robot is None else robot
+        if sensing.observe_motion:
+            if motion is None:
+                raise ValueError(
+                    "this policy reads how the robot moves: give motion=, measured speed and turn rate "
+                    "and the last four commands, or odometry= to PolicyRunner.step."
+                )
+            given["motion"] = motion
         given["preference"] = preference
         tensors = any([isinstance(value, Tensor) for value in given.values()])
         with torch.inference_mode():
@@ -181,6 +191,7 @@ class Policy:
             "human_velocity": 2,
             "nobody": 1,
             "robot": NUM_ROBOT,
+            "motion": NUM_MOTION,
             "preference": self.preference_space.num_tunable,
         }
 
@@ -244,7 +255,7 @@ class Policy:
                 raise ValueError(
                     f"robot must have a radius, limits, view and range above 0, got {value.tolist()}."
                 )
-            if name != "human_velocity" and lengths.min() < 0:
+            if name not in ("human_velocity", "motion") and lengths.min() < 0:
                 raise ValueError(
                     f"{name} has the length {lengths.min():g} m: it must not be negative."
                 )
@@ -264,6 +275,8 @@ class Policy:
         if sensing.observe_robot:
             # Radius, speed, turn rate, view and range are above zero.
             rows += [(SMALLEST, huge, huge)] * (NUM_ROBOT - 1) + [(-huge, huge, huge)]
+        if sensing.observe_motion:
+            rows += [(-huge, huge, huge)] * NUM_MOTION
         rows += [(0.0, huge, huge)] * self.preference_space.num_tunable
         rows += [(1 - TOLERANCE, 1 + TOLERANCE, 1 + TOLERANCE)]  # the sum of the preference
         low, high, trained = self._like.new_tensor(rows).T.contiguous()

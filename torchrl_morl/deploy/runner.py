@@ -106,7 +106,13 @@ class PolicyRunner(Runner):
         self.policy, self.lidar = policy, lidar
         nearest_goal, _ = policy.sensing.goal_range
         given = goal_radius, timeout, max_speed, max_turn_rate
-        super().__init__(policy.period, nearest_goal, limits.to_json(), given)
+        super().__init__(
+            policy.period,
+            nearest_goal,
+            limits.to_json(),
+            given,
+            reads_motion=sensing.observe_motion,
+        )
 
     def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
         sensing = self.policy.sensing

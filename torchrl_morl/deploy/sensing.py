@@ -8,18 +8,21 @@ from collections.abc import Sequence
 from typing import Any
 
 from .entries import Entries
-from .onnx_runner import numbers_of
+from .onnx_runner import NUM_COMMANDS, numbers_of
 
 __all__ = ["Limits", "Sensing"]
 
 NUM_ROBOT = 6
 """Numbers of a robot that a policy may read."""
 
+NUM_MOTION = 2 + 2 * NUM_COMMANDS
+"""Speeds and turn rates, measured and commanded, that come with them."""
+
 SMALLEST = 1e-3
 """Of a robot's radius, limits, view and range."""
 
 # Files from before there were these lack them.
-_LATER = ("observe_robot", "observe_nobody")
+_LATER = ("observe_robot", "observe_nobody", "observe_motion")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,6 +49,7 @@ class Sensing:
         observe_robot: whether it reads which robot it drives: see
             :func:`torchrl_morl.deploy.features.observation`.
         observe_nobody: whether it reads a mark for nobody.
+        observe_motion: whether it reads how the robot moves, and its own last four commands.
         history: observations that the policy reads, the present one included.
 
     Raises:
@@ -74,6 +78,7 @@ class Sensing:
     history: int = 1
     observe_robot: bool = False
     observe_nobody: bool = False
+    observe_motion: bool = False
 
     def __post_init__(self) -> None:
         for name in ("max_range", "goal_scale", "human_scale", "unknown_range"):
@@ -103,7 +108,8 @@ class Sensing:
     def observation_size(self) -> int:
         """Entries of the network's observation."""
         human = 3 * self.observe_human + 2 * self.observe_human_velocity + self.observe_nobody
-        return self.num_sectors + 3 + human + NUM_ROBOT * self.observe_robot
+        own = NUM_ROBOT * self.observe_robot + NUM_MOTION * self.observe_motion
+        return self.num_sectors + 3 + human + own
 
     def robot(self, numbers: Sequence[float] | None) -> tuple[float, ...] | None:
         """The robot that a policy is to drive: radius (m), top speed (m/s), top turn rate (rad/s), and the
@@ -165,6 +171,7 @@ class Sensing:
             ("observe_human_velocity", "the human's velocity"),
             ("observe_nobody", "a mark for nobody"),
             ("observe_robot", "which robot it drives"),
+            ("observe_motion", "how the robot moves"),
         ):
             mine, theirs = getattr(self, name), getattr(available, name)
             if mine != theirs:

@@ -2,6 +2,7 @@
 
 from torchrl_morl.transforms.finite import CheckFinite, check_finite
 from torchrl_morl.transforms.lidar import LidarMinPool, LogRange
+from torchrl_morl.transforms.motion import OwnMotion
 from torchrl_morl.transforms.overlay import PreferenceOverlay
 from torchrl_morl.transforms.polar import PolarFeatures
 from torchrl_morl.transforms.preference import PreferenceSampler
@@ -12,6 +13,7 @@ from torchrl_morl.transforms.robot import (
     HullRange,
     InUnitsOf,
     IsNobody,
+    MotionInUnits,
     RobotScale,
     hull_ranges,
 )
@@ -24,6 +26,8 @@ __all__ = [
     "IsNobody",
     "LidarMinPool",
     "LogRange",
+    "MotionInUnits",
+    "OwnMotion",
     "PolarFeatures",
     "PreferenceExpand",
     "PreferenceOverlay",

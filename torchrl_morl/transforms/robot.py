@@ -21,18 +21,21 @@ __all__ = [
     "LIDAR_RANGE",
     "ROBOT_SCALES",
     "TOP_SPEED",
+    "TOP_TURN_RATE",
     "HullRange",
     "InUnitsOf",
     "IsNobody",
+    "MotionInUnits",
     "RobotScale",
     "hull_ranges",
+    "motion_in_units",
 ]
 
 ROBOT_SCALES = (0.25, 1.0, math.pi, 2 * math.pi, 10.0, 0.25)
 """What becomes 1 of radius (m), top speed (m/s), top turn rate (rad/s), the lidar's view (rad), its range
 (m), and its distance ahead of the rotation centre (m)."""
 
-TOP_SPEED, LIDAR_RANGE = 1, 4
+TOP_SPEED, TOP_TURN_RATE, LIDAR_RANGE = 1, 2, 4
 """Where these stand in the numbers of a robot."""
 
 
@@ -59,6 +62,26 @@ def hull_ranges(lidar: Tensor, robot: Tensor) -> Tensor:
     radius, offset = robot[..., 0:1], robot[..., 5:6]
     ahead, left = offset + lidar * angle.cos(), lidar * angle.sin()
     return ((ahead.square() + left.square()).sqrt() - radius).clamp_min(1e-3)
+
+
+def motion_in_units(motion: Tensor, robot: Tensor) -> Tensor:
+    """Speeds and turn rates as shares of the robot's largest.
+
+    Args:
+        motion: m/s and rad/s in turn, ``[*B, 2 M]``.
+        robot: its six numbers, ``[*B, 6]``, see :meth:`torchrl_morl.deploy.Sensing.robot`.
+
+    Returns:
+        ``[*B, 2 M]``.
+
+    Example:
+        >>> import torch
+        >>> robot = torch.tensor([0.2, 0.5, 3.0, 6.28, 4.0, 0.0])
+        >>> motion_in_units(torch.tensor([0.5, -1.5, 0.0, 3.0]), robot)
+        tensor([ 1.0000, -0.5000,  0.0000,  1.0000])
+    """
+    largest = robot[..., None, TOP_SPEED : TOP_TURN_RATE + 1]
+    return (motion.unflatten(-1, (-1, 2)) / largest).flatten(-2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -236,3 +259,44 @@ class InUnitsOf(_WithRobot):
     def __repr__(self) -> str:
         key, robot_key = self.in_keys
         return describe(self, key=key, robot_key=robot_key)
+
+
+class MotionInUnits(_WithRobot):
+    """Turn speeds and turn rates, one after the other, into shares of the robot's largest.
+
+    In a replay buffer append one for each time step, with keys such as ``("next", "motion")``.
+
+    Args:
+        key (NestedKey): ``[*B, 2 M]``, m/s and rad/s in turn, as
+            :class:`~torchrl_morl.transforms.OwnMotion` writes them; they stay as they are.
+        out_key (NestedKey): where the shares are written.
+        robot_key (NestedKey): robots ``[*B, 6]``, see :meth:`torchrl_morl.deploy.Sensing.robot`.
+
+    Raises:
+        KeyError: at a call without motions or robots.
+        ValueError: at a call with robots of another shape.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> robot = torch.tensor([0.2, 0.5, 3.0, 6.28, 4.0, 0.0])
+        >>> data = TensorDict(motion=torch.tensor([0.5, -1.5]), robot=robot)
+        >>> MotionInUnits()(data)["own_motion"]
+        tensor([ 1.0000, -0.5000])
+    """
+
+    def __init__(
+        self,
+        key: NestedKey = "motion",
+        out_key: NestedKey = "own_motion",
+        robot_key: NestedKey = "robot",
+    ) -> None:
+        super().__init__(key, out_key, robot_key)
+
+    def compute(self, value: Tensor, robot: Tensor) -> Tensor:
+        """See :func:`motion_in_units`."""
+        return motion_in_units(value, robot)
+
+    def __repr__(self) -> str:
+        key, robot_key = self.in_keys
+        return describe(self, key=key, out_key=self.out_keys[0], robot_key=robot_key)

@@ -135,7 +135,7 @@ class Driver:
             goal=goal,
             human=robot.polar(human.position) if human else None,
             human_velocity=velocity,
-            odometry=robot if sensing.observe_human_velocity else None,
+            odometry=robot if sensing.observe_human_velocity or sensing.observe_motion else None,
             preference=self.preference,
             stamp=inputs.oldest(now),
             time=now,

@@ -1,0 +1,133 @@
+"""How a robot moves, and what it was told to do."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey, unravel_key
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs.transforms import Transform
+
+from torchrl_morl.arguments import check_count
+from torchrl_morl.representation import describe
+
+__all__ = ["OwnMotion"]
+
+
+class OwnMotion(Transform):
+    r"""Add a robot's measured speeds and its last commands.
+
+    A command takes effect later than it is given. Who knows the last ones and how the robot moves can
+    tell how much later. With poses :math:`(p, \theta)`, a step of length :math:`\Delta t` and
+    commands :math:`a`, the entry is
+
+    .. math::
+        \big(R(-\theta_{t+1})_x\, (p_{t+1} - p_t) / \Delta t,\;
+        (\theta_{t+1} - \theta_t) / \Delta t,\; a_t,\; a_{t-1},\; \dots\big)
+
+    The transform itself remembers nothing: the previous pose and commands are those of the tensordict
+    that is stepped. Both therefore become part of the state spec. After a reset the robot stands, and
+    has been told to: all entries are zero.
+
+    In an environment a step reads the action that the base environment gets: in m/s and rad/s, if
+    :class:`~torchrl.envs.ActionScaling` is part of the chain.
+
+    Args:
+        pose_key (NestedKey): poses ``[*B, >= 3]`` of the robot: x and y in metres, the heading in
+            radians.
+        action_key (NestedKey): commands ``[*B, 2]``: speed and turn rate.
+        out_key (NestedKey): where ``[*B, 2 + 2 * num_commands]`` is written, m/s and rad/s in turn.
+
+    Keyword Args:
+        period (float): length of a step, seconds.
+        num_commands (int): commands that are kept, the latest first.
+        dtype (torch.dtype): of what is written.
+
+    Raises:
+        ValueError: if the period is not finite and positive, or the number of commands below 1.
+
+    Example:
+        >>> import torch
+        >>> from torchrl.envs import TransformedEnv
+        >>> from envs import NavigationEnv
+        >>> base = NavigationEnv(num_envs=1, seed=0)
+        >>> env = TransformedEnv(base, OwnMotion(period=base.CONTROL_PERIOD, num_commands=2))
+        >>> data = env.rollout(2, policy=lambda td: td.set("action", torch.tensor([[0.4, 0.0]])))
+        >>> data["motion"][0, 1, 2:]
+        tensor([0.4000, 0.0000, 0.0000, 0.0000])
+        >>> env.close()
+
+    """
+
+    def __init__(
+        self,
+        pose_key: NestedKey = "pose",
+        action_key: NestedKey = "action",
+        out_key: NestedKey = "motion",
+        *,
+        period: float,
+        num_commands: int = 4,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        if not (math.isfinite(period) and period > 0):
+            raise ValueError(f"period must be finite and > 0 seconds, got {period}.")
+        check_count("num_commands", num_commands)
+        super().__init__(in_keys=[unravel_key(pose_key)], out_keys=[unravel_key(out_key)])
+        self.action_key = unravel_key(action_key)
+        self.period, self.num_commands, self.dtype = period, num_commands, dtype
+
+    def __repr__(self) -> str:
+        return describe(
+            self,
+            pose_key=self.in_keys[0],
+            action_key=self.action_key,
+            out_key=self.out_keys[0],
+            period=self.period,
+            num_commands=self.num_commands,
+        )
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        (pose_key,), (out_key,) = self.in_keys, self.out_keys
+        pose, last = next_tensordict.get(pose_key), tensordict.get(pose_key)
+        (x, y), heading = (pose[..., :2] - last[..., :2]).unbind(-1), pose[..., 2]
+        turned = heading - last[..., 2]
+        turned = torch.atan2(turned.sin(), turned.cos())  # the shorter way round
+        speed = heading.cos() * x + heading.sin() * y
+        measured = torch.stack((speed, turned), dim=-1) / self.period
+        commands = tensordict.get(out_key)[..., 2 : 2 * self.num_commands]
+        action = tensordict.get(self.action_key)
+        motion = torch.cat((measured.to(self.dtype), action.to(self.dtype), commands), dim=-1)
+        return next_tensordict.set(out_key, motion)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        pose = tensordict_reset.get(self.in_keys[0])
+        shape = (*pose.shape[:-1], self._size)
+        motion = torch.zeros(shape, device=pose.device, dtype=self.dtype)
+        return tensordict_reset.set(self.out_keys[0], motion)
+
+    @property
+    def _size(self) -> int:
+        return 2 + 2 * self.num_commands
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec = observation_spec.clone()
+        observation_spec[self.out_keys[0]] = self._spec(observation_spec[self.in_keys[0]])
+        return observation_spec
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        state_spec = state_spec.clone()
+        pose = self.parent.full_observation_spec[self.in_keys[0]]
+        known = state_spec.keys(True, True)
+        if self.in_keys[0] not in known:
+            state_spec[self.in_keys[0]] = pose.clone()
+        if self.out_keys[0] not in known:
+            state_spec[self.out_keys[0]] = self._spec(pose)
+        return state_spec
+
+    def _spec(self, pose: TensorSpec) -> Unbounded:
+        shape = (*pose.shape[:-1], self._size)
+        return Unbounded(shape, device=pose.device, dtype=self.dtype)
