@@ -27,7 +27,9 @@ class CollisionReward(Transform):
     Example:
         >>> from envs import NavigationEnv
         >>> from torchrl.envs import TransformedEnv
-        >>> env = TransformedEnv(NavigationEnv(num_envs=2, seed=0), CollisionReward(-500.0, entry=1))
+        >>> env = TransformedEnv(
+        ...     NavigationEnv(num_envs=2, seed=0), CollisionReward(-500.0, entry=1)
+        ... )
         >>> env.rollout(3)["next", "reward"].shape
         torch.Size([2, 3, 3])
         >>> env.close()

@@ -126,9 +126,7 @@ def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | 
     return model, card
 
 
-def check_observation(
-    cfg: DictConfig, source: str, size: int, expected: int | None = None
-) -> None:
+def check_observation(cfg: DictConfig, source: str, size: int, expected: int | None = None) -> None:
     """Refuse what was made with another observation than the one of this training.
 
     Args:

@@ -37,7 +37,10 @@ _UNITS = {
     "human": {"entries": ["distance", "bearing"], "unit": ["m", "rad"]},
     "human_velocity": {"entries": ["ahead", "left"], "unit": ["m/s", "m/s"]},
     "motion": {
-        "entries": ["speed and turn rate, measured", "those of the last four commands, latest first"],
+        "entries": [
+            "speed and turn rate, measured",
+            "those of the last four commands, latest first",
+        ],
         "unit": ["m/s", "rad/s"],
     },
 }

@@ -111,9 +111,7 @@ class Runner(abc.ABC):
                 at first sight it is 0. Needed by policies that read how the robot moves: that is what
                 changed since the last step, and what was commanded then.
         """
-        command = self._step(
-            ranges, goal, preference, stamp, time, human, human_velocity, odometry
-        )
+        command = self._step(ranges, goal, preference, stamp, time, human, human_velocity, odometry)
         self._commands.appendleft((command.speed, command.turn_rate))
         return command
 

@@ -12,6 +12,7 @@ from torchrl.envs.transforms import Transform
 
 from torchrl_morl.arguments import check_count
 from torchrl_morl.representation import describe
+from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["OwnMotion"]
 
@@ -78,6 +79,21 @@ class OwnMotion(Transform):
         self.action_key = unravel_key(action_key)
         self.period, self.num_commands, self.dtype = period, num_commands, dtype
 
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the motion of recorded transitions to their ``"next"``.
+
+        Args:
+            tensordict (TensorDictBase): holds pose, action and motion at the root, the pose in
+                ``"next"``.
+
+        Returns:
+            The same tensordict; for a lazy stack, a shallow copy of it.
+
+        """
+        tensordict = apart_from_storage(tensordict)
+        self._step(tensordict, tensordict.get("next"))
+        return tensordict
+
     def __repr__(self) -> str:
         return describe(
             self,
@@ -96,7 +112,7 @@ class OwnMotion(Transform):
         turned = torch.atan2(turned.sin(), turned.cos())  # the shorter way round
         speed = heading.cos() * x + heading.sin() * y
         measured = torch.stack((speed, turned), dim=-1) / self.period
-        commands = tensordict.get(out_key)[..., 2 : 2 * self.num_commands]
+        commands = tensordict[out_key][..., 2 : 2 * self.num_commands]
         action = tensordict.get(self.action_key)
         motion = torch.cat((measured.to(self.dtype), action.to(self.dtype), commands), dim=-1)
         return next_tensordict.set(out_key, motion)

@@ -102,9 +102,7 @@ def test_clones_demonstrations_first(tmp_path, demonstrated):
         action = policy.actor(inputs)["action"]
         errors.append((action - torch.tensor([0.5, -0.25])).square().mean().item())
         for name, speed in (("distance", 0.0), ("efficiency", 0.6)):
-            corner = policy.preference_space.corners()[
-                policy.preference_space.tunable.index(name)
-            ]
+            corner = policy.preference_space.corners()[policy.preference_space.tunable.index(name)]
             inputs["preference"] = corner.expand(50, -1)
             action = policy.actor(inputs)["action"]
             elsewhere[name] = (action - torch.tensor([speed, 0.0])).square().mean().item()

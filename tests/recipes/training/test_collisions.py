@@ -15,9 +15,9 @@ def _rewards(*transforms: CollisionReward) -> tuple[torch.Tensor, torch.Tensor]:
     for transform in transforms:
         env.append_transform(transform)
     ahead = torch.tensor([0.5, 0.0]).expand(32, 2)
-    data = env.rollout(
-        150, policy=lambda td: td.set("action", ahead), break_when_any_done=False
-    )["next"]
+    data = env.rollout(150, policy=lambda td: td.set("action", ahead), break_when_any_done=False)[
+        "next"
+    ]
     env.close()
     return data["reward"], (data["collision_human"] | data["collision_obstacle"]).squeeze(-1)
 
@@ -39,5 +39,5 @@ def test_specs_hold():
 
 
 def test_a_reward_for_colliding_is_refused():
-    with pytest.raises(ValueError, match="reward must be at most 0, got 3.0"):
+    with pytest.raises(ValueError, match=r"reward must be at most 0, got 3\.0"):
         CollisionReward(3.0, entry=0)

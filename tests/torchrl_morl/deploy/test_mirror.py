@@ -15,7 +15,13 @@ KINDS = (
     {"observe_human_velocity": True},
     {"observe_nobody": True},
     {"observe_human": False, "observe_robot": True},
-    {"observe_human_velocity": True, "observe_nobody": True, "observe_robot": True},
+    {"observe_motion": True},
+    {
+        "observe_human_velocity": True,
+        "observe_nobody": True,
+        "observe_robot": True,
+        "observe_motion": True,
+    },
 )
 SIDE = torch.tensor([1.0, -1.0])
 
@@ -28,9 +34,10 @@ def test_the_features_of_a_mirrored_world_are_the_mirrored_features(kind):
     velocity, nobody = torch.randn(7, 2), torch.randint(2, (7, 1)).float()
     # The lidar of some is behind the rotation centre.
     robot = torch.rand(7, 6) + torch.tensor([0.1, 0.1, 0.1, 3.0, 3.0, -0.5])
+    motion = torch.randn(7, 10)
     sensing, same = Sensing(**kind), {"nobody": nobody, "robot": robot}
     seen = observation(
-        sensing, lidar=lidar, goal=goal, human=human, human_velocity=velocity, **same
+        sensing, lidar=lidar, goal=goal, human=human, human_velocity=velocity, motion=motion, **same
     )
     image = observation(
         sensing,
@@ -38,6 +45,7 @@ def test_the_features_of_a_mirrored_world_are_the_mirrored_features(kind):
         goal=goal * SIDE,
         human=human * SIDE,
         human_velocity=velocity * SIDE,
+        motion=motion * SIDE.repeat(5),
         **same,
     )
     parts = observation_parts(**kind)
