@@ -53,10 +53,10 @@ class Policy {
   std::vector<std::string> preference_names;  // order of a preference
 
   // Speed (m/s) and turn rate (rad/s). Throws std::invalid_argument for an input that is not finite, negative,
-  // missing or off the simplex. which: robot it drives, for policies that read it.
+  // missing or off the simplex. which: robot it drives, motion: how it moves, for policies that read it.
   std::array<double, 2> act(const std::vector<double>& preference, const std::vector<double>& lidar, Polar goal,
                             std::optional<Polar> human = {}, std::optional<Velocity> human_velocity = {},
-                            std::optional<Robot> which = {}) const {
+                            std::optional<Robot> which = {}, std::optional<Motion> motion = {}) const {
     sensing.check(which);
     if (lidar.size() != sensing.num_sectors)
       throw std::invalid_argument("lidar must have " + std::to_string(sensing.num_sectors) + " entries, got " +
@@ -90,6 +90,16 @@ class Policy {
       features.push_back(read(seen) == read(nobody) ? 1.0f : 0.0f);
     }
     if (which) add_robot(features, *which);
+    if (sensing.observe_motion) {
+      if (!motion)
+        throw std::invalid_argument(
+            "this policy reads how the robot moves: give motion, measured speed and turn rate and the last four "
+            "commands, or odometry to Runner::step");
+      for (std::size_t i = 0; i < motion->size(); ++i) {
+        const double unit = !which ? 1.0 : i % 2 == 0 ? which->top_speed : which->top_turn_rate;
+        features.push_back(finite("motion", (*motion)[i]) / static_cast<float>(unit));
+      }
+    }
     add_preference(features, preference);
     const std::vector<float> action = run(std::move(features));
     std::array<double, 2> command{};
@@ -194,6 +204,7 @@ class Policy {
     // Files from before there were these lack them.
     sensing.observe_nobody = entries.has("observe_nobody") && entries.flag("observe_nobody");
     sensing.observe_robot = entries.has("observe_robot") && entries.flag("observe_robot");
+    sensing.observe_motion = entries.has("observe_motion") && entries.flag("observe_motion");
     if (!sensing.observe_human && (sensing.observe_human_velocity || sensing.observe_nobody))
       throw files::broken("sensing", std::string(sensing.observe_nobody ? "observe_nobody" : "observe_human_velocity") +
                                          " must be false where observe_human is");

@@ -54,10 +54,29 @@ class Runner {
   //
   // ranges: of the scan, or nullptr. human: the nearest person, or nothing for nobody. preference: in the order of
   // policy.preference_names. stamp: when the oldest input was measured; time: now, on the same clock. For policies that
-  // read the human's velocity give human_velocity, or odometry: where the robot is in any fixed frame.
+  // read the human's velocity give human_velocity, or odometry: where the robot is in any fixed frame. Those that read
+  // how the robot moves need it: that is what changed since the last step, and what was commanded then.
   Command step(const std::vector<double>* ranges, std::optional<Polar> goal, std::optional<Polar> human,
                const std::vector<double>& preference, double stamp, double time,
                std::optional<Velocity> human_velocity = {}, std::optional<Pose> odometry = {}) {
+    const Command command = decide(ranges, goal, human, preference, stamp, time, human_velocity, odometry);
+    for (std::size_t i = told_.size() - 1; i > 0; --i) told_[i] = told_[i - 1];
+    told_[0] = {command.speed, command.turn_rate};
+    return command;
+  }
+
+ private:
+  struct Seen {
+    double stamp, x, y;
+  };
+  struct Stood {
+    double stamp;
+    Pose at;
+  };
+
+  Command decide(const std::vector<double>* ranges, std::optional<Polar> goal, std::optional<Polar> human,
+                 const std::vector<double>& preference, double stamp, double time,
+                 std::optional<Velocity> human_velocity, std::optional<Pose> odometry) {
     const std::optional<double> last = time_;
     if (std::isfinite(time)) time_ = time;
     if (!std::isfinite(time) || !std::isfinite(stamp)) return stop("clock", "time and stamp must be finite numbers");
@@ -81,7 +100,9 @@ class Runner {
       }
       if (human) check(*human);
       if (human && !human_velocity && odometry) human_velocity = velocity_of(*human, *odometry, stamp);
-      command = policy.act(preference, sectors, *goal, human, human ? human_velocity : std::nullopt, robot);
+      std::optional<Motion> motion;
+      if (sensing.observe_motion) motion = motion_of(odometry, stamp);
+      command = policy.act(preference, sectors, *goal, human, human ? human_velocity : std::nullopt, robot, motion);
     } catch (const std::exception& error) {
       return stop("refused", error.what());
     }
@@ -91,11 +112,6 @@ class Runner {
         {1.0, max_speed / std::max(std::abs(command[0]), 1e-9), max_turn_rate / std::max(std::abs(command[1]), 1e-9)});
     return {command[0] * share, command[1] * share, "drive", "", time + timeout};
   }
-
- private:
-  struct Seen {
-    double stamp, x, y;
-  };
 
   static double positive(const char* name, double value) {
     if (!(std::isfinite(value) && value > 0))
@@ -126,6 +142,30 @@ class Runner {
     return {cos * velocity_.ahead + sin * velocity_.left, cos * velocity_.left - sin * velocity_.ahead};
   }
 
+  // Measured since the last step, and the last commands; after as many periods without a step it stood.
+  Motion motion_of(const std::optional<Pose>& odometry, double stamp) {
+    if (!odometry) throw std::invalid_argument("this policy reads how the robot moves: give odometry");
+    const Pose at = *odometry;
+    if (!std::isfinite(at.x) || !std::isfinite(at.y) || !std::isfinite(at.heading))
+      throw std::invalid_argument("odometry must be finite");
+    const double since = stood_ ? stamp - stood_->stamp : std::numeric_limits<double>::infinity();
+    if (since > static_cast<double>(told_.size()) * policy.period) {
+      measured_ = {0.0, 0.0};
+      told_ = {};
+    } else if (since > 0) {
+      const double cos = std::cos(at.heading), sin = std::sin(at.heading);
+      const double ahead = cos * (at.x - stood_->at.x) + sin * (at.y - stood_->at.y);
+      measured_ = {ahead / since, std::remainder(at.heading - stood_->at.heading, 2 * pi) / since};
+    }
+    if (since > 0) stood_ = Stood{stamp, at};
+    Motion motion{measured_[0], measured_[1]};
+    for (std::size_t i = 0; i < told_.size(); ++i) {
+      motion[2 + 2 * i] = told_[i][0];
+      motion[3 + 2 * i] = told_[i][1];
+    }
+    return motion;
+  }
+
   Command stop(const char* reason, const std::string& detail) const {
     return {0.0, 0.0, reason, detail, time_ ? *time_ + timeout : std::numeric_limits<double>::infinity()};
   }
@@ -134,6 +174,9 @@ class Runner {
   std::optional<double> time_;
   std::optional<Seen> human_;
   Velocity velocity_{0.0, 0.0};  // along the axes of the fixed frame: east and north
+  std::optional<Stood> stood_;
+  std::array<double, 2> measured_{};                // speed and turn rate
+  std::array<std::array<double, 2>, 4> told_{};  // the last commands
 };
 
 }  // namespace torchrl_morl

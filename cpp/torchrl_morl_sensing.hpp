@@ -99,6 +99,10 @@ struct Lidar {
   }
 };
 
+// How the robot moves, for policies that read it: speed (m/s) and turn rate (rad/s), measured, then those of its last
+// four commands, the latest first.
+using Motion = std::array<double, 10>;
+
 // Which robot it is, for policies that read it.
 struct Robot {
   double radius;                    // m
@@ -124,9 +128,11 @@ struct Sensing {
   double max_range = 0, goal_scale = 0, human_scale = 0, unknown_range = 0;
   std::pair<double, double> lidar_origin, goal_range, human_range, nobody;
   bool observe_human = false, observe_human_velocity = false, observe_nobody = false, observe_robot = false;
+  bool observe_motion = false;
 
   std::size_t observation_size() const {
-    return num_sectors + 3 + 3 * observe_human + 2 * observe_human_velocity + observe_nobody + 6 * observe_robot;
+    return num_sectors + 3 + 3 * observe_human + 2 * observe_human_velocity + observe_nobody + 6 * observe_robot +
+           10 * observe_motion;
   }
 
   // Throws std::invalid_argument for a robot that the policy does not read, none where it does, or what is none.

@@ -19,7 +19,13 @@ LIDAR = LidarGeometry(0.0, math.pi / 90, 180, 0.05, 8.0, (ROBOT[-1], 0.0, 0.0))
 
 
 def save(
-    folder: Path, robot: str = "any", *, scene: str = "static", seed: int = 1, **card: Any
+    folder: Path,
+    robot: str = "any",
+    *,
+    scene: str = "static",
+    seed: int = 1,
+    motion: bool = False,
+    **card: Any,
 ) -> Path:
     """Nobody has trained it; it turns this way and that, by all that it reads.
 
@@ -30,9 +36,10 @@ def save(
     Keyword Args:
         scene: of its training and its evaluations.
         seed: of its weights.
+        motion: whether it reads how the robot moves, too.
         **card: more of its card.
     """
-    trained = {"scene": scene, "robot": robot, **OBSERVED}
+    trained = {"scene": scene, "robot": robot, **OBSERVED, "observe_motion": motion}
     facts = contract(trained)
     torch.manual_seed(seed)
     policy = untrained_policy(sensing=facts["sensing"])

@@ -5,6 +5,9 @@ import { scan } from "./lidar.js";
 
 export const HUMAN_RADIUS = 0.25;
 
+// Last commands that a policy may read: torchrl_morl/deploy/onnx_runner.py.
+const NUM_COMMANDS = 4;
+
 // Somebody who is put elsewhere by hand is seen for the first time there, as PolicyRunner has it.
 const FASTEST_HUMAN = 3;
 
@@ -27,6 +30,9 @@ export class Episode {
     this.humanReturns = scene.human_returns ?? false;
     this.boxes = scene.boxes.map((box) => [...box]);
     this.humanBefore = null;
+    /** Before the last step, and the commands that the robot was given, the latest first. */
+    this.poseBefore = null;
+    this.commands = Array.from({ length: NUM_COMMANDS }, () => [0, 0]);
     this.elapsed = 0;
     /** "goal", "human", "box" or "time"; null on the way. */
     this.ending = null;
@@ -53,7 +59,10 @@ export class Episode {
     return Math.hypot(this.human[0] - this.body.x, this.human[1] - this.body.y);
   }
 
-  /** What the robot senses: lidar, goal and human, and how fast the human moves along its axes. */
+  /**
+   * What the robot senses: lidar, goal and human, how fast the human moves along its axes, and its own motion: speed
+   * and turn rate of the last step, and the last commands.
+   */
   sense() {
     return {
       scan: scan(
@@ -66,12 +75,15 @@ export class Episode {
       goal: polar(this.body, ...this.goal),
       human: polar(this.body, this.human[0], this.human[1]),
       humanVelocity: this.#humanVelocity(),
+      motion: [...this.#measured(), ...this.commands.flat()],
     };
   }
 
   /** A control step under a command [m/s, rad/s]; returns the poses within it. */
   step(command) {
     this.humanBefore = [this.human[0], this.human[1]];
+    this.poseBefore = this.pose;
+    this.commands = [[...command], ...this.commands.slice(0, -1)];
     const poses = [];
     let touched = null;
     for (let step = 1; step <= SUBSTEPS; step++) {
@@ -83,6 +95,15 @@ export class Episode {
     this.elapsed++;
     this.ending = this.#end(touched);
     return poses;
+  }
+
+  #measured() {
+    if (this.poseBefore === null) return [0, 0];
+    const [x, y, heading] = this.poseBefore;
+    const cos = Math.cos(this.body.heading);
+    const sin = Math.sin(this.body.heading);
+    const ahead = cos * (this.body.x - x) + sin * (this.body.y - y);
+    return [ahead, wrapAngle(this.body.heading - heading)].map((moved) => moved / CONTROL_PERIOD);
   }
 
   #humanVelocity() {

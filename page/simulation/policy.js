@@ -70,7 +70,7 @@ export class Policy {
    * With `clamped`, distances beyond those of the training read as the furthest of them, as in
    * `policy.act`; NavigationEnv's episodes need no such thing.
    */
-  observation({ scan, goal, human, humanVelocity }, { clamped = false } = {}) {
+  observation({ scan, goal, human, humanVelocity, motion }, { clamped = false } = {}) {
     const s = this.sensing;
     const near = (distance, furthest) => (clamped ? Math.min(distance, furthest) : distance);
     const out = Array.from(sectors(scan, s.num_sectors), (range, sector) => {
@@ -94,6 +94,10 @@ export class Policy {
       // A lidar that sees further than scans are cut off at reads as one that sees as far.
       const robot = { ...this.robot, lidar_range: Math.min(this.robot.lidar_range, s.max_range) };
       for (const [name, scale] of Object.entries(ROBOT_SCALES)) out.push(robot[name] / scale);
+    }
+    if (s.observe_motion) {
+      const units = s.observe_robot ? [this.robot.max_speed, this.robot.max_turn_rate] : [1, 1];
+      out.push(...motion.map((value, entry) => value / units[entry % 2]));
     }
     return out;
   }

@@ -44,6 +44,11 @@ def test_the_same_episodes(folder, scene, robot, episodes, tmp_path):
     check_the_same_episodes(str(folder), scene, robot, episodes, tmp_path)
 
 
+def test_the_same_episodes_of_one_that_reads_how_it_moves(tmp_path_factory, tmp_path):
+    folder = any_robot.save(tmp_path_factory.mktemp("policies") / "any", motion=True)
+    check_the_same_episodes(str(folder), "static", SMALL, 4, tmp_path)
+
+
 @pytest.mark.parametrize("robot", ["turtlebot2", "hsr", SMALL])
 def test_the_same_commands_as_policy_act_also_beyond_the_training(folder, robot, tmp_path):
     policy, random, robot = load_policy(folder), np.random.default_rng(0), get_robot(robot)

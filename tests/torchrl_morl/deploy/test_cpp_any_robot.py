@@ -94,6 +94,35 @@ def test_limits_of_ones_own_and_velocities_for_any_robot(cpp_library, of_any_rob
     check_velocities(ours, CppRunner(cpp_library, of_any_robot, **given))
 
 
+def test_how_the_robot_moves(cpp_library, tmp_path):
+    """Measured, commanded, over the seam of the circle, with the same inputs again, and after a pause."""
+    folder = any_robot.save(tmp_path / "any", motion=True)
+    given = {"lidar": LIDAR, "robot": any_robot.ROBOT}
+    ours = PolicyRunner(load_policy(folder), **given)
+    other = CppRunner(cpp_library, folder, **given)
+    draw = np.random.default_rng(0)
+    pose, commands = np.array([0.3, -0.2, 3.0]), []
+    for stamp in (0.0, 0.2, 0.4, 0.6, 0.6, 0.8, 1.0, 2.5, 2.7, 2.9):
+        x, y, heading = pose = pose + draw.normal(0.05, 0.05, 3)
+        told = {
+            "stamp": 10 + stamp,
+            "odometry": (x, y, math.remainder(heading, 2 * math.pi)),
+            "human_velocity": (0.2, 0.1),
+        }
+        time = 10 + 0.01 * len(commands) + stamp
+        expected, found = (step(runner, time, **told) for runner in (ours, other))
+        assert expected.reason == "drive", expected.detail
+        check_command(found, expected)
+        commands.append((found.speed, found.turn_rate))
+    # After the pause it knows as little as at the start.
+    assert commands[7] == commands[0] and len(set(commands)) == len(commands) - 1
+    missing = step(other, 20.0, human_velocity=(0.2, 0.1))
+    assert missing.reason == "refused"
+    assert missing.detail == "this policy reads how the robot moves: give odometry"
+    wrong = step(other, 20.2, human_velocity=(0.2, 0.1), odometry=(0.0, math.nan, 0.0))
+    assert (wrong.reason, wrong.detail) == ("refused", "odometry must be finite")
+
+
 @pytest.mark.parametrize(
     ("folder", "robot", "message"),
     [
