@@ -18,15 +18,16 @@ from envs.fields import shown
 from envs.policy_env import simulated
 from recipes.evaluation.setting import Setting
 from torchrl_morl.deploy import Policy
-from torchrl_morl.deploy.onnx_runner import FASTEST_HUMAN
+from torchrl_morl.deploy.onnx_runner import FASTEST_HUMAN, NUM_COMMANDS
 from torchrl_morl.evaluation.rollout import episode_mask
-from torchrl_morl.transforms import LidarMinPool, VelocityInFrame
+from torchrl_morl.transforms import LidarMinPool, OwnMotion, VelocityInFrame
 
 WALKING_SPEED = 0.5
 CROSSING = 2.5
 """Metres to either side of somebody who crosses."""
 
 _velocity = VelocityInFrame(period=NavigationEnv.CONTROL_PERIOD)
+_motion = OwnMotion(period=NavigationEnv.CONTROL_PERIOD, num_commands=NUM_COMMANDS)
 
 Motion = Literal["stands", "walks", "crosses"]
 ENDINGS = ("success", "collision_human", "collision_obstacle", "truncated")
@@ -53,6 +54,7 @@ class LiveSimulation:
         # The policy reads of these what it was trained with.
         names = ["preference", "lidar", "goal", "human", "human_velocity"]
         names += ["robot"] if policy.sensing.observe_robot else []
+        names += ["motion"] if policy.sensing.observe_motion else []
         self._actor = TensorDictModule(
             policy.act,
             in_keys={name: name for name in names},
@@ -83,7 +85,11 @@ class LiveSimulation:
         env, ahead = (
             TransformedEnv(
                 NavigationEnv(num_envs=n, **arguments),
-                Compose(LidarMinPool(self.policy.sensing.num_sectors), _velocity.clone()),
+                Compose(
+                    LidarMinPool(self.policy.sensing.num_sectors),
+                    _velocity.clone(),
+                    _motion.clone(),
+                ),
             )
             for n in (1, count)
         )
@@ -218,6 +224,7 @@ class LiveSimulation:
         count = self._ahead.num_envs
         now = self._ahead.reset(self._now.expand(count).clone(), set_state=True)
         now["human_velocity"] = self._human_velocity().expand(count, 2)
+        now["motion"] = self._now["motion"].expand(count, -1)
         now["preference"] = torch.eye(count)
         rollout = self._ahead.rollout(
             steps,
@@ -242,7 +249,9 @@ class LiveSimulation:
 
     def _restore(self) -> None:
         if self.ending is None:
-            self._now = self.env.reset(self._now, set_state=True)
+            # Hands move things, not the robot: it goes on as it moves.
+            motion = self._now["motion"]
+            self._now = self.env.reset(self._now, set_state=True).set("motion", motion)
 
     def _human_velocity(self) -> Tensor:
         """Ahead and to the left, ``[1, 2]``, m/s. Hands move people, too, but as in PolicyRunner:

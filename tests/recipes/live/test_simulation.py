@@ -52,8 +52,9 @@ def test_untouched_it_is_the_environment(make, name, scene):
     check_untouched(make, load_policy(SHIPPED_POLICY.parent / name), scene)
 
 
-def test_untouched_it_is_the_environment_for_a_policy_of_any_robot(make, tmp_path):
-    policy = load_policy(any_robot.save(tmp_path / "any", scene="everyday"))
+@pytest.mark.parametrize("motion", [False, True])
+def test_untouched_it_is_the_environment_for_a_policy_of_any_robot(make, tmp_path, motion):
+    policy = load_policy(any_robot.save(tmp_path / "any", scene="everyday", motion=motion))
     check_untouched(make, policy, "moving_human", steps=60)
 
 
