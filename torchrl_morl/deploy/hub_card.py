@@ -106,8 +106,21 @@ def _contract(policy: Policy) -> str:
         rows.append(("lidar", f"{sensing.num_sectors} sectors, up to {sensing.max_range:g} m"))
         rows.append(("goal", "distance (m), bearing (rad)"))
         velocity = ", velocity (m/s)" if sensing.observe_human_velocity else ""
-        human = f"distance (m), bearing (rad){velocity}" if sensing.observe_human else "not read"
-        rows.append(("human", human))
+        nobody = ", or nobody" if sensing.observe_nobody else ""
+        seen = f"distance (m), bearing (rad){velocity}{nobody}"
+        rows.append(("human", seen if sensing.observe_human else "not read"))
+        if sensing.observe_robot:
+            rows.append(
+                (
+                    "which robot it drives",
+                    "radius (m), top speed (m/s), top turn rate (rad/s), view (rad), range (m) and place "
+                    "(m) of the lidar; commands are within its limits",
+                )
+            )
+        if sensing.observe_motion:
+            rows.append(
+                ("how the robot moves", "odometry; the runner remembers the last four commands")
+            )
     return _table(("it reads and commands", ""), rows)
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 
 import pytest
 
-from torchrl_morl.deploy import from_hub, load_policy, push_to_hub
+from tests import _any_robot as any_robot
+from torchrl_morl.deploy import Sensing, from_hub, load_policy, push_to_hub
 from torchrl_morl.deploy.hub_card import model_card
+from torchrl_morl.testing import untrained_policy
 
 from ._hub_server import FakeHub
 
@@ -166,3 +169,15 @@ def test_a_card_without_an_evaluation_has_no_table_of_it():
     assert "| preference | success, % |\n| --- | --- |\n| a \\| b | 99.25 |" in model_card(
         policy, "x"
     )
+
+
+def test_a_card_names_all_that_the_policy_reads():
+    reads = dataclasses.replace(any_robot.SENSING, observe_motion=True)
+    card, usual = (model_card(untrained_policy(sensing=s), "me/mine") for s in (reads, Sensing()))
+    for row in (
+        "| human | distance (m), bearing (rad), velocity (m/s), or nobody |",
+        "| which robot it drives | radius (m), top speed (m/s),",
+        "| how the robot moves | odometry;",
+    ):
+        assert row in card and row not in usual
+    assert "| human | distance (m), bearing (rad) |" in usual
