@@ -120,6 +120,8 @@ class Policy:
             given["nobody"] = (0.0,)  # the place of the mark, which is set below
         if sensing.observe_robot:
             given["robot"] = sensing.robot(robot) if robot is None else robot
+        elif robot is not None:
+            sensing.robot(robot)  # refuses it
         given["preference"] = preference
         tensors = any([isinstance(value, Tensor) for value in given.values()])
         with torch.inference_mode():
@@ -285,12 +287,14 @@ def _linear(parameters: Mapping[str, Tensor], features: Tensor) -> Tensor:
 
 def _is_numeric(value: Tensor) -> bool:
     """Whether a tensor is of real numbers, which are there and not quantized."""
-    if value.is_meta or value.is_quantized or value.layout is not torch.strided:
+    if value.is_nested or value.is_meta or value.is_quantized or value.layout is not torch.strided:
         return False
     return not value.dtype.is_complex
 
 
 def _kind(value: np.ndarray | Tensor) -> str:
+    if isinstance(value, Tensor) and value.is_nested:
+        return "nested"
     if isinstance(value, Tensor) and value.layout is not torch.strided:
         return str(value.layout)
     return "on the meta device" if isinstance(value, Tensor) and value.is_meta else str(value.dtype)
