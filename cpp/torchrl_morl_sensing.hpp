@@ -62,6 +62,9 @@ struct Lidar {
       throw std::invalid_argument("lidar: it needs beams, and an increment that is not 0");
     if (std::abs(increment) * static_cast<double>(num_beams - 1) > 2 * pi + 1e-3)
       throw std::invalid_argument("lidar: more beams than a revolution has: is the increment in radians?");
+    if (num_beams > 1000000) throw std::invalid_argument("lidar: num_beams must be at most 1000000");
+    if (std::abs(first_angle) > 2 * pi + 1e-3 || std::abs(mount.heading) > 2 * pi + 1e-3)
+      throw std::invalid_argument("lidar: first_angle and the mount's yaw must be within a revolution, in radians");
     if (!(0 <= range_min && range_min < range_max))
       throw std::invalid_argument("lidar: range_min must be between 0 and range_max, got " + shown(range_min));
   }

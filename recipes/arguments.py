@@ -35,6 +35,7 @@ class Parser(argparse.ArgumentParser):
             kwargs.setdefault("prog", f"python -m {spec.name.removesuffix('.__main__')}")
         kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
         super().__init__(**kwargs)
+        self.register("type", Path, some_path)
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: error: {message}\n")
@@ -145,9 +146,22 @@ share = number(0, 1)
 """From nothing to all."""
 
 
+def some_path(text: str) -> Path:
+    """Anything but nothing, which would be the current folder: an unset variable of a shell.
+
+    Examples:
+        >>> some_path("")
+        Traceback (most recent call last):
+        argparse.ArgumentTypeError: must be a path, got '': . is the current folder
+    """
+    if not text:
+        raise argparse.ArgumentTypeError(f"must be a path, got {text!r}: . is the current folder")
+    return Path(text)
+
+
 def existing_file(text: str) -> Path:
     """A file that is there."""
-    path = Path(text)
+    path = some_path(text)
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
         raise argparse.ArgumentTypeError(f"must be a file, {text!r} {what}")
@@ -156,7 +170,7 @@ def existing_file(text: str) -> Path:
 
 def existing_folder(text: str) -> Path:
     """A folder that is there."""
-    path = Path(text)
+    path = some_path(text)
     if not path.is_dir():
         what = "is a file" if path.exists() else "does not exist"
         raise argparse.ArgumentTypeError(f"must be a folder, {text!r} {what}")
@@ -165,7 +179,7 @@ def existing_folder(text: str) -> Path:
 
 def existing(text: str) -> Path:
     """A file or a folder that is there."""
-    path = Path(text)
+    path = some_path(text)
     if not path.exists():
         raise argparse.ArgumentTypeError(f"must be a file or a folder, {text!r} does not exist")
     return path
@@ -173,7 +187,7 @@ def existing(text: str) -> Path:
 
 def new_folder(text: str) -> Path:
     """A folder to write: not there, or empty."""
-    path = Path(text)
+    path = some_path(text)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise argparse.ArgumentTypeError(
             f"{text!r} exists and is not overwritten: choose another folder"
@@ -183,7 +197,7 @@ def new_folder(text: str) -> Path:
 
 def new_file(text: str) -> Path:
     """A file to write: not there."""
-    path = Path(text)
+    path = some_path(text)
     if path.exists():
         raise argparse.ArgumentTypeError(f"{text!r} exists and is not overwritten: choose another")
     return path

@@ -40,7 +40,7 @@ def _registered(name: str) -> str:
     except gymnasium.error.Error as error:
         near = difflib.get_close_matches(identifier, gymnasium.registry, 1)
         hint = f"did you mean {near[0]}?" if near else "module:Name-v0 imports what registers it."
-        raise ValueError(f"{name} is not registered with Gymnasium: {hint}") from error
+        raise ValueError(f"{name!r} is not registered with Gymnasium: {hint}") from error
     return name
 
 

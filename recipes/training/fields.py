@@ -94,6 +94,15 @@ def _number_or_pair(value: Any) -> Any:
     return value
 
 
+def _in_float32(value: float) -> float:
+    """Beyond it tensors would hold zero or infinity."""
+    if not 1.2e-38 <= value <= 3.4e38:
+        raise ValueError(
+            f"must be a positive number that float32 holds, 1.2e-38 to 3.4e+38, got {value!r}."
+        )
+    return value
+
+
 def _ascending(value: list[float]) -> list[float]:
     if value[0] > value[1]:
         raise ValueError(f"must be a pair in ascending order, got {value!r}.")
@@ -131,7 +140,7 @@ Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
 ValidationSeed = Annotated[int, Field(ge=VALIDATION_SEEDS.start, le=VALIDATION_SEEDS[-1])]
 """Its scenes are neither those of trainings nor those of results."""
 
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0), AfterValidator(_in_float32)]
 NotNegative = Annotated[float, Field(ge=0)]
 NotPositive = Annotated[float, Field(le=0)]
 

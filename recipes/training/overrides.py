@@ -46,16 +46,27 @@ def prepared(
     result = []
     for override in overrides:
         match = _OVERRIDE.fullmatch(override)
-        if match is None:
+        if match is None or not match["key"].strip():
             if override.startswith("~"):
                 raise ConfigurationError(f"{override}: no field can be left out, null is nothing.")
             raise ConfigurationError(f"{override!r} is not field=value; --help lists the fields.")
         sign, key, value = match["sign"], match["key"], match["value"]
         if is_of_hydra(override):
             is_path = key in _FOLDERS
+            if is_path and value.strip("'\" ").lower() in (
+                "",
+                "null",
+            ):  # Hydra takes the current one
+                raise ConfigurationError(
+                    f"{override}: it is a folder, which has a name, or . for this one."
+                )
         elif key in _groups(folder):
             if re.search(r"[/\\]", value):  # Hydra would read a file from anywhere
                 raise ConfigurationError(f"{override}: {key} is a name of a file in it, no path.")
+            name = reads_as(value)
+            if not ((isinstance(name, str) and name) or is_sweep(value)):
+                names = ", ".join(sorted(file.stem for file in (folder / key).glob("*.yaml")))
+                raise ConfigurationError(f"{override}: {key} is one name, one of {names}.")
             is_path = False
         elif sign == "~":
             raise ConfigurationError(f"{override}: no field can be left out, null is nothing.")

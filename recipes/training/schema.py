@@ -5,9 +5,9 @@ The YAML files beside the recipes hold the defaults; here stands what is allowed
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from .fields import (
     Amount,
@@ -36,6 +36,7 @@ from .fields import (
     Size,
     ValidationSeed,
     checked_faults,
+    different,
 )
 
 Threads = Count
@@ -280,7 +281,9 @@ class Evaluation(Section):
 class Backends(Section):
     """Where scalars are written."""
 
-    backends: list[Backend] = Field(description="Loggers that record the training.")
+    backends: Annotated[list[Backend], AfterValidator(different)] = Field(
+        description="Loggers that record the training."
+    )
     arguments: LoggerArguments = Field(
         description="Arguments of loggers, such as {wandb: {offline: true, project: mine}}."
     )

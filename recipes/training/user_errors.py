@@ -69,6 +69,8 @@ def _hydra_line(error: Exception) -> str:
             f"{error.override} cannot be read: {what}; put text with special characters in quotes."
         )
     lines = [line.strip() for line in str(error).splitlines()]
+    if field := getattr(error, "full_key", None):
+        lines[0] = f"{field}: {lines[0]}"
     end = next(
         (i for i, line in enumerate(lines) if line.startswith(("Config search", "full_key"))), None
     )

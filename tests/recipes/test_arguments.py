@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 import pytest
 
@@ -71,6 +72,17 @@ def test_paths(tmp_path):
     ):
         with pytest.raises(argparse.ArgumentTypeError, match=message):
             parse(str(path))
+
+
+@pytest.mark.parametrize("kind", [Path, arguments.existing_folder, arguments.new_folder])
+def test_an_empty_path_is_not_the_current_folder(kind, capsys):
+    parser = arguments.Parser(prog="evaluate")
+    parser.add_argument("--output", type=kind)
+    with pytest.raises(SystemExit) as stop:
+        parser.parse_args(["--output", ""])
+    assert stop.value.code == 2
+    line = "evaluate: error: argument --output: must be a path, got '': . is the current folder\n"
+    assert capsys.readouterr() == ("", line)
 
 
 def test_a_mistake_is_one_line(capsys):

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from torchrl_morl.arguments import is_number
+from torchrl_morl.arguments import check_count, check_positive, is_number
 
 from .onnx_runner import as_reported, numeric_ranges
 from .sensing import Sensing
@@ -19,6 +19,9 @@ __all__ = ["LidarGeometry", "sector_of"]
 
 SECTOR_EDGE = 1e-4
 """Share of a sector within which a beam before its start belongs to it: angles are rounded."""
+
+_REVOLUTION = 2 * math.pi + 1e-3
+_MOST_BEAMS = 1_000_000
 
 
 def sector_of(angle: np.ndarray, num_sectors: int) -> np.ndarray:
@@ -57,7 +60,8 @@ class LidarGeometry:
             and y to the left (m), yaw (rad).
 
     Raises:
-        ValueError: for values that are not finite, no beams, or more than a revolution of them.
+        ValueError: for values that are not finite, no beams, more than a revolution of them, or angles
+            in degrees.
 
     Example:
         >>> import numpy as np
@@ -87,10 +91,17 @@ class LidarGeometry:
         object.__setattr__(self, "num_beams", int(self.num_beams))
         if self.num_beams < 1:
             raise self._refused("num_beams", "at least 1")
+        if self.num_beams > _MOST_BEAMS:
+            raise self._refused("num_beams", f"at most {_MOST_BEAMS}")
+        # Degrees are larger; what drivers round may pass a revolution by a little.
+        if abs(self.first_angle) > _REVOLUTION:
+            raise self._refused("first_angle", "within a revolution, in radians")
+        if abs(self.mount[2]) > _REVOLUTION:
+            raise self._refused("mount", "x, y and yaw, which is within a revolution, in radians")
         if self.increment == 0:
             raise self._refused("increment", "different from 0")
         # Drivers may report the first beam again as the last one.
-        if abs(self.increment) * (self.num_beams - 1) > 2 * math.pi + 1e-3:
+        if abs(self.increment) * (self.num_beams - 1) > _REVOLUTION:
             raise ValueError(
                 f"lidar: {self.num_beams} beams every {self.increment:g} rad are more than a "
                 "revolution: is the increment in radians?"
@@ -122,8 +133,17 @@ class LidarGeometry:
             nothing is known.
 
         Raises:
-            ValueError: for a scan with another number of beams, or one that is not numbers.
+            ValueError: for a scan with another number of beams, or one that is not numbers, and for
+                other arguments that make no sense.
         """
+        check_count("num_sectors", num_sectors)
+        check_positive("max_range", max_range)
+        if (
+            not isinstance(origin, Sequence | np.ndarray)
+            or len(origin) != 2
+            or not all(map(is_number, origin))
+        ):
+            raise ValueError(f"origin must be x and y, both finite, got {origin!r}.")
         ranges = numeric_ranges(ranges, self.num_beams)
         batch = ranges.shape[:-1]
         ranges = ranges.reshape(-1, self.num_beams)

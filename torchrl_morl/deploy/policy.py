@@ -123,6 +123,8 @@ class Policy:
             given["nobody"] = (0.0,)  # the place of the mark, which is set below
         if sensing.observe_robot:
             given["robot"] = sensing.robot(robot) if robot is None else robot
+        elif robot is not None:
+            sensing.robot(robot)  # refuses it
         if sensing.observe_motion:
             if motion is None:
                 raise ValueError(
@@ -130,6 +132,10 @@ class Policy:
                     "and the last four commands, or odometry= to PolicyRunner.step."
                 )
             given["motion"] = motion
+        elif motion is not None:
+            raise ValueError(
+                "this policy does not read motion=, sensing.observe_motion is false: leave it out."
+            )
         given["preference"] = preference
         tensors = any([isinstance(value, Tensor) for value in given.values()])
         with torch.inference_mode():
@@ -298,12 +304,14 @@ def _linear(parameters: Mapping[str, Tensor], features: Tensor) -> Tensor:
 
 def _is_numeric(value: Tensor) -> bool:
     """Whether a tensor is of real numbers, which are there and not quantized."""
-    if value.is_meta or value.is_quantized or value.layout is not torch.strided:
+    if value.is_nested or value.is_meta or value.is_quantized or value.layout is not torch.strided:
         return False
     return not value.dtype.is_complex
 
 
 def _kind(value: np.ndarray | Tensor) -> str:
+    if isinstance(value, Tensor) and value.is_nested:
+        return "nested"
     if isinstance(value, Tensor) and value.layout is not torch.strided:
         return str(value.layout)
     return "on the meta device" if isinstance(value, Tensor) and value.is_meta else str(value.dtype)

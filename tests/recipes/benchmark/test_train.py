@@ -180,7 +180,11 @@ def test_which_algorithm_goes_on(mo_ppo, tmp_path):
 
 
 BAD = [
-    (["env=mo-hoper-v5"], "env: mo-hoper-v5 is not registered with Gymnasium: did you mean"),
+    (
+        ["env="],
+        "env: '' is not registered with Gymnasium: module:Name-v0 imports what registers it.",
+    ),
+    (["env=mo-hoper-v5"], "env: 'mo-hoper-v5' is not registered with Gymnasium: did you mean"),
     (["env=nowhere:A-v0"], "env: nowhere:A-v0: nowhere cannot be imported"),
     (["env=CartPole-v1"], "env=CartPole-v1 has a scalar reward"),
     (["env=deep-sea-treasure-v0"], "algorithm=pd_morl needs continuous actions"),

@@ -57,6 +57,7 @@ OFF_POLICY = [
     ("replay_buffer.batch_size", 0, "at least 1"),
     ("replay_buffer.reward_scale", 0, "positive"),
     ("replay_buffer.reward_scale", math.inf, "positive"),
+    ("replay_buffer.reward_scale", 1e300, "float32"),
     ("network.num_cells", [], "list of at least 1"),
     ("network.num_cells", [256, 0], "at least 1"),
     ("network.num_cells", [30_000, 30_000], "at most "),
@@ -71,6 +72,9 @@ OFF_POLICY = [
     ("optim.lr", 0, "positive"),
     ("optim.lr", -1e-3, "positive"),
     ("optim.lr", "fast", "positive number"),
+    ("optim.lr", 1e39, "float32"),
+    ("optim.lr", 1e-60, "float32"),
+    ("env.goal_radius", 1e-300, "float32"),
     ("optim.final_lr_ratio", -3, "in [0, 1]"),
     ("optim.final_lr_ratio", 2, "in [0, 1]"),
     ("optim.polyak", 1, "in [0, 1)"),
@@ -85,6 +89,7 @@ OFF_POLICY = [
     ("logger.interval", 0, "at least 1"),
     ("logger.backends", ["paper"], "'csv', 'tensorboard'"),
     ("logger.backends", "csv", "list"),
+    ("logger.backends", ["csv", "csv"], "must not repeat 'csv'"),
 ]
 TD3 = [
     ("collector.exploration_sigma", -1, "not be negative"),

@@ -187,6 +187,10 @@ def test_input_is_not_changed_and_may_be_anything():
         ({"first_angle": None}, "first_angle must be finite, got None"),
         ({"range_max": 10**400}, "range_max must be finite"),
         ({"num_beams": "180"}, "num_beams must be an integer, got '180'"),
+        ({"first_angle": -180}, "first_angle must be within a revolution, in radians, got -180"),
+        ({"first_angle": 1e300}, "first_angle must be within a revolution"),
+        ({"mount": (0.0, 0.0, 90)}, "mount must be x, y and yaw, which is within a revolution"),
+        ({"increment": 1e-13, "num_beams": 10**12}, "num_beams must be at most 1000000"),
     ],
 )
 def test_a_geometry_that_makes_no_sense(changes, message):
@@ -211,6 +215,23 @@ def test_a_scan_of_another_size():
         full(180).sectors(np.ones(181), 30, 4.0)
     with pytest.raises(ValueError, match="ranges must be numbers"):
         full(2).sectors(["a", "b"], 30, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((0, 4.0), "num_sectors must be at least 1, got 0"),
+        ((1.5, 4.0), "num_sectors must be a whole number, at least 1, got 1.5"),
+        ((30, NAN), "max_range must be positive and finite, got nan"),
+        ((30, -1.0), "max_range must be positive and finite, got -1.0"),
+        ((30, 4.0, (NAN, 0.0)), "origin must be x and y, both finite, got (nan, 0.0)"),
+        ((30, 4.0, (0.0, 0.0, 0.0)), "origin must be x and y, both finite"),
+        ((30, 4.0, None), "origin must be x and y, both finite, got None"),
+    ],
+)
+def test_sectors_that_make_no_sense(arguments, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        full(180).sectors(np.ones(180), *arguments)
 
 
 def test_a_lidar_too_coarse_for_the_policy():

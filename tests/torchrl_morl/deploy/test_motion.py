@@ -181,6 +181,8 @@ def test_act_says_what_is_missing():
         policy.act(**given, motion=[0.0] * 4)
     with pytest.raises(ValueError, match="motion"):
         policy.act(**given, motion=[math.nan] * 10)
+    with pytest.raises(ValueError, match="does not read motion="):
+        restless(Sensing()).act(**given, motion=[0.0] * 10)
     backwards = policy.act(**given, motion=[-0.1] * 10)  # a wheel that slips, a turn to the right
     assert abs(backwards - policy.act(**given, motion=[0.0] * 10)).max() > 1e-4
 

@@ -201,6 +201,11 @@ def test_inputs_are_not_changed(policy):
             {"goal": torch.quantize_per_tensor(torch.ones(2), 0.1, 0, torch.quint8)},
             "goal is no array of numbers: it is torch.quint8",
         ),
+        (
+            {"goal": torch.nested.nested_tensor([torch.ones(2)])},
+            "goal is no array of numbers: it is nested",
+        ),
+        ({"robot": [0.2, 0.5, 3, 6.28, 4, 0]}, "this policy does not read robot="),
         ({"goal": [-1, 0]}, "goal has the length -1 m"),
         ({"goal": [1, 0, 0]}, "goal must have shape [..., 2], got [3]"),
         ({"human": [1, -math.inf]}, "'human'[1] = -inf must be finite"),
