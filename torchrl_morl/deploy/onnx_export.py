@@ -98,18 +98,18 @@ def export_onnx(
     some command. :class:`~torchrl_morl.deploy.onnx_runner.OnnxRunner` stands before it, a file that
     needs NumPy and ONNX Runtime alone.
 
-    ==================  ==========  =================================================================
-    tensor              shape       meaning
-    ==================  ==========  =================================================================
-    ``ranges``          ``[B, N]``  of the scan, metres, in the order of ``lidar``
-    ``goal``            ``[B, 2]``  distance (m) and bearing (rad)
-    ``human``           ``[B, 2]``  the same; nobody is ``sensing.nobody``. For policies that read it
-    ``human_velocity``  ``[B, 2]``  over the ground, ahead and to the left, m/s, likewise
-    ``motion``          ``[B, 10]`` measured speed (m/s) and turn rate (rad/s), then those of the last
-                                    four commands, the latest first, likewise
-    ``preference``      ``[B, T]``  weights of the tunable objectives
-    ``command``         ``[B, 2]``  the output: speed (m/s) and turn rate (rad/s)
-    ==================  ==========  =================================================================
+    ==================  ===========  ================================================================
+    tensor              shape        meaning
+    ==================  ===========  ================================================================
+    ``ranges``          ``[B, N]``   of the scan, metres, in the order of ``lidar``
+    ``goal``            ``[B, 2]``   distance (m) and bearing (rad)
+    ``human``           ``[B, 2]``   the same; nobody is ``sensing.nobody``. For policies that read it
+    ``human_velocity``  ``[B, 2]``   over the ground, ahead and to the left, m/s, likewise
+    ``motion``          ``[B, 10]``  measured speed (m/s) and turn rate (rad/s), then those of the last
+                                     four commands, the latest first, likewise
+    ``preference``      ``[B, T]``   weights of the tunable objectives
+    ``command``         ``[B, 2]``   the output: speed (m/s) and turn rate (rad/s)
+    ==================  ===========  ================================================================
 
     The metadata, each entry a JSON value: ``torchrl_morl_format``, ``objectives``, ``static``,
     ``preference`` (order of its entries), ``inputs`` and ``outputs`` (with units), ``lidar``,
