@@ -38,7 +38,9 @@ def hidden_entries(cfg: DictConfig) -> list[int]:
         ValueError: for an input that does not exist, or none that the environment has.
     """
     parts = observation_parts(**observed(cfg.env))
-    inputs, known = list(cfg.reward_model.inputs), [*PARTS, "action"]
+    # How a robot moves is no style: demonstrations do without it.
+    known = [*(part for part in PARTS if part != "motion"), "action"]
+    inputs = list(cfg.reward_model.inputs)
     if not set(inputs) & {*parts, "action"} or not set(inputs) <= set(known):
         raise ValueError(f"reward_model.inputs must be some of {known}, got {inputs}.")
     return [entry for part, entries in parts.items() if part not in inputs for entry in entries]

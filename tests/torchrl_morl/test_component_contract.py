@@ -38,6 +38,8 @@ from torchrl_morl.transforms import (
     HullRange,
     InUnitsOf,
     IsNobody,
+    MotionInUnits,
+    OwnMotion,
     LidarMinPool,
     LogRange,
     PolarFeatures,
@@ -151,6 +153,20 @@ CASES = {
     "CheckFinite": Case(lambda seed: CheckFinite(["observation"]), ("['observation']",)),
     "HullRange": Case(lambda seed: HullRange("scan"), ("'scan'", "'hull_lidar'", "'robot'")),
     "InUnitsOf": Case(lambda seed: InUnitsOf("human"), ("key='human'", "robot_key='robot'")),
+    "MotionInUnits": Case(
+        lambda seed: MotionInUnits("human"), ("key='human'", "'own_motion'", "robot_key='robot'")
+    ),
+    "OwnMotion": Case(
+        lambda seed: OwnMotion(period=0.5, num_commands=3),
+        ("period=0.5", "num_commands=3"),
+        lambda: TensorDict(
+            pose=torch.rand(6, 3),
+            motion=torch.rand(6, 8),
+            action=torch.rand(6, 2),
+            next=TensorDict(pose=torch.rand(6, 3), batch_size=6),
+            batch_size=6,
+        ),
+    ),
     "IsNobody": Case(
         lambda seed: IsNobody(3.0, 1.5), ("distance=3.0", "bearing=1.5"), lambda: torch.rand(4, 2)
     ),

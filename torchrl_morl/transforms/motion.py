@@ -51,14 +51,15 @@ class OwnMotion(Transform):
 
     Example:
         >>> import torch
-        >>> from torchrl.envs import TransformedEnv
-        >>> from envs import NavigationEnv
-        >>> base = NavigationEnv(num_envs=1, seed=0)
-        >>> env = TransformedEnv(base, OwnMotion(period=base.CONTROL_PERIOD, num_commands=2))
-        >>> data = env.rollout(2, policy=lambda td: td.set("action", torch.tensor([[0.4, 0.0]])))
-        >>> data["motion"][0, 1, 2:]
-        tensor([0.4000, 0.0000, 0.0000, 0.0000])
-        >>> env.close()
+        >>> from tensordict import TensorDict
+        >>> data = TensorDict(
+        ...     pose=torch.tensor([1.0, 2.0, 0.0]),
+        ...     motion=torch.tensor([0.0, 0.0, 0.4, 0.1, 0.0, 0.0]),
+        ...     action=torch.tensor([0.5, 0.0]),
+        ...     next=TensorDict(pose=torch.tensor([1.1, 2.0, 0.0])),
+        ... )
+        >>> OwnMotion(period=0.2, num_commands=2)(data)["next", "motion"]
+        tensor([0.5000, 0.0000, 0.5000, 0.0000, 0.4000, 0.1000])
 
     """
 
