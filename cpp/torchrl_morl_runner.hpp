@@ -59,24 +59,6 @@ class Runner {
   Command step(const std::vector<double>* ranges, std::optional<Polar> goal, std::optional<Polar> human,
                const std::vector<double>& preference, double stamp, double time,
                std::optional<Velocity> human_velocity = {}, std::optional<Pose> odometry = {}) {
-    const Command command = decide(ranges, goal, human, preference, stamp, time, human_velocity, odometry);
-    for (std::size_t i = told_.size() - 1; i > 0; --i) told_[i] = told_[i - 1];
-    told_[0] = {command.speed, command.turn_rate};
-    return command;
-  }
-
- private:
-  struct Seen {
-    double stamp, x, y;
-  };
-  struct Stood {
-    double stamp;
-    Pose at;
-  };
-
-  Command decide(const std::vector<double>* ranges, std::optional<Polar> goal, std::optional<Polar> human,
-                 const std::vector<double>& preference, double stamp, double time,
-                 std::optional<Velocity> human_velocity, std::optional<Pose> odometry) {
     const std::optional<double> last = time_;
     if (std::isfinite(time)) time_ = time;
     if (!std::isfinite(time) || !std::isfinite(stamp)) return stop("clock", "time and stamp must be finite numbers");
@@ -110,8 +92,17 @@ class Runner {
     if (goal->distance <= goal_radius) return stop("goal reached", "the goal is " + shown(goal->distance) + " m away");
     const double share = std::min(
         {1.0, max_speed / std::max(std::abs(command[0]), 1e-9), max_turn_rate / std::max(std::abs(command[1]), 1e-9)});
-    return {command[0] * share, command[1] * share, "drive", "", time + timeout};
+    return told({command[0] * share, command[1] * share, "drive", "", time + timeout});
   }
+
+ private:
+  struct Seen {
+    double stamp, x, y;
+  };
+  struct Stood {
+    double stamp;
+    Pose at;
+  };
 
   static double positive(const char* name, double value) {
     if (!(std::isfinite(value) && value > 0))
@@ -166,8 +157,13 @@ class Runner {
     return motion;
   }
 
-  Command stop(const char* reason, const std::string& detail) const {
-    return {0.0, 0.0, reason, detail, time_ ? *time_ + timeout : std::numeric_limits<double>::infinity()};
+  Command stop(const char* reason, const std::string& detail) {
+    return told({0.0, 0.0, reason, detail, time_ ? *time_ + timeout : std::numeric_limits<double>::infinity()});
+  }
+  Command told(Command command) {
+    for (std::size_t i = told_.size() - 1; i > 0; --i) told_[i] = told_[i - 1];
+    told_[0] = {command.speed, command.turn_rate};
+    return command;
   }
 
   std::pair<double, double> origin_;  // of ranges, x and y
@@ -175,7 +171,7 @@ class Runner {
   std::optional<Seen> human_;
   Velocity velocity_{0.0, 0.0};  // along the axes of the fixed frame: east and north
   std::optional<Stood> stood_;
-  std::array<double, 2> measured_{};                // speed and turn rate
+  std::array<double, 2> measured_{};             // speed and turn rate
   std::array<std::array<double, 2>, 4> told_{};  // the last commands
 };
 

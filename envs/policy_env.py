@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tensordict import TensorDictBase
@@ -22,19 +22,17 @@ from .robot_ranges import get_robots, largest
 from .robots import Robot
 from .scene_files import get_scene
 
-OBSERVED = (
-    "observe_human",
-    "observe_human_velocity",
-    "observe_nobody",
-    "observe_robot",
-    "observe_motion",
-)
+SHOWN = ("observe_human", "observe_human_velocity", "observe_nobody", "observe_robot")
+"""Arguments of :func:`make_policy_env` that say what a policy observes and demonstrations show. A style is where
+and how fast a robot drives, not what it was told to do before."""
+
+OBSERVED = (*SHOWN, "observe_motion")
 """Arguments of :func:`make_policy_env` that say what the policy observes."""
 
 
-def observed(arguments: Mapping[str, Any]) -> dict[str, bool]:
+def observed(arguments: Mapping[str, Any], names: Sequence[str] = OBSERVED) -> dict[str, bool]:
     """Those of the arguments of :func:`make_policy_env` that say what the policy observes."""
-    return {name: arguments[name] for name in OBSERVED if name in arguments}
+    return {name: arguments[name] for name in names if name in arguments}
 
 
 def simulated(arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -42,17 +40,11 @@ def simulated(arguments: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in arguments.items() if name not in OBSERVED}
 
 
-def observation_size(arguments: Mapping[str, Any]) -> int:
-    """Entries of the observation under these arguments of :func:`make_policy_env`."""
-    return sum(map(len, observation_parts(**observed(arguments)).values()))
-
-
-def shown_size(arguments: Mapping[str, Any]) -> int:
-    """Entries that demonstrations have under these arguments: all but the robot's own motion.
-
-    A style is where and how fast a robot drives, not what it was told to do before.
+def observation_size(arguments: Mapping[str, Any], names: Sequence[str] = OBSERVED) -> int:
+    """Entries of the observation under these arguments of :func:`make_policy_env`; of demonstrations
+    with the names :data:`SHOWN`.
     """
-    return observation_size({**observed(arguments), "observe_motion": False})
+    return sum(map(len, observation_parts(**observed(arguments, names)).values()))
 
 
 class WithoutMotion(TensorDictModuleBase):
@@ -198,7 +190,7 @@ def make_policy_env(
         transforms.append(sampler)
     if reward_model is not None:
         if observe_motion:
-            reward_model = WithoutMotion(reward_model, shown_size(observes))
+            reward_model = WithoutMotion(reward_model, observation_size(observes, SHOWN))
         transforms.append(RewardModelReward(reward_model, position=1))
     if not keep_simulation:
         transforms.append(ExcludeTransform("scan", "lidar"))

@@ -131,7 +131,7 @@ def check(options: dict[str, Any], output: Path) -> None:
         ValueError: in one line.
     """
     # They import PyTorch, which takes seconds that --help need not wait for.
-    from envs.policy_env import OBSERVED
+    from envs.policy_env import SHOWN
 
     from .drex import schema as drex
     from .mo_ppo import schema as mo_ppo
@@ -156,8 +156,7 @@ def check(options: dict[str, Any], output: Path) -> None:
         option = f"--{name.replace('_', '-')}"
         found[name] = check_stage(option, module, command[1:], output)
     learner = "pd_morl" if plan.with_pd_morl else "mo_ppo"
-    shown = found["drex"]["env"]
-    for field in filter(shown.__contains__, OBSERVED):
+    for field in SHOWN:
         one, other = (found[name]["env"][field] for name in ("drex", learner))
         if other is None:  # as it is from nothing
             other = field == "observe_human"

@@ -258,8 +258,8 @@ def test_no_drawer_for_odds_and_ends():
 def test_a_file_can_be_read_in_one_sitting():
     lines = {str(p.relative_to(ROOT)): len(p.read_text().splitlines()) for p in sources()}
     # One file that is copied to a robot, and may import nothing of the library.
-    del lines["torchrl_morl/deploy/onnx_runner.py"]
-    assert {name: n for name, n in lines.items() if n > MOST_LINES} == {}
+    most = {"torchrl_morl/deploy/onnx_runner.py": MOST_LINES + 50}
+    assert {name: n for name, n in lines.items() if n > most.get(name, MOST_LINES)} == {}
 
 
 def test_nobody_calls_the_private_methods_of_others():

@@ -27,7 +27,7 @@ CROSSING = 2.5
 """Metres to either side of somebody who crosses."""
 
 _velocity = VelocityInFrame(period=NavigationEnv.CONTROL_PERIOD)
-_motion = OwnMotion(period=NavigationEnv.CONTROL_PERIOD, num_commands=NUM_COMMANDS)
+_own_motion = OwnMotion(period=NavigationEnv.CONTROL_PERIOD, num_commands=NUM_COMMANDS)
 
 Motion = Literal["stands", "walks", "crosses"]
 ENDINGS = ("success", "collision_human", "collision_obstacle", "truncated")
@@ -88,7 +88,7 @@ class LiveSimulation:
                 Compose(
                     LidarMinPool(self.policy.sensing.num_sectors),
                     _velocity.clone(),
-                    _motion.clone(),
+                    _own_motion.clone(),
                 ),
             )
             for n in (1, count)

@@ -7,7 +7,6 @@ import tqdm
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
-from envs.policy_env import shown_size
 from envs.robot_ranges import get_robots, largest
 from recipes.objectives import DEMO, EFFICIENCY
 from recipes.training.task import Task, check_observation
@@ -44,7 +43,7 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
     if not clones(cfg):
         return
     data, _ = load_demonstrations(path)
-    check_observation(cfg, path, data["observation"].shape[-1], shown_size(cfg.env))
+    check_observation(cfg, path, data["observation"].shape[-1])
     steps = data.select("observation", "action")[data["mask"]].to(task.device)
     space: PreferenceSpace = task.preference_space
     demo = space.tunable.index(DEMO)

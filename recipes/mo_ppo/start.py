@@ -7,6 +7,7 @@ from typing import Any
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
+from envs.policy_env import OBSERVED
 from recipes.training.task import Task, check_observation
 from torchrl_morl.deploy import training_config
 from torchrl_morl.preferences import PreferenceSpace
@@ -81,5 +82,5 @@ def check_start(
             "with, if there was one."
         )
     check_observation(
-        cfg, cfg.policy, start[0].module[0].in_features - preference_space.num_tunable
+        cfg, cfg.policy, start[0].module[0].in_features - preference_space.num_tunable, OBSERVED
     )

@@ -53,10 +53,8 @@ def prepared(
         sign, key, value = match["sign"], match["key"], match["value"]
         if is_of_hydra(override):
             is_path = key in _FOLDERS
-            if is_path and value.strip("'\" ").lower() in (
-                "",
-                "null",
-            ):  # Hydra takes the current one
+            # Hydra would take the current one.
+            if is_path and value.strip("'\" ").lower() in ("", "null"):
                 raise ConfigurationError(
                     f"{override}: it is a folder, which has a name, or . for this one."
                 )

@@ -19,12 +19,11 @@ from torchrl.envs import EnvBase
 from envs import NavigationEnv, RobotRanges, get_robots
 from envs.demonstrations import CircleDemonstrator, demonstrated_paths
 from envs.policy_env import (
-    OBSERVED,
+    SHOWN,
     make_policy_env,
     observation_size,
     observed,
     observed_size,
-    shown_size,
     simulated,
 )
 from envs.splits import check_validation_seed, training_seed
@@ -122,27 +121,29 @@ def load_demonstration_objective(cfg: DictConfig) -> tuple[RewardModel, dict] | 
     members = model.module.members
     sizes = [layer.out_features for layer in members[0] if isinstance(layer, nn.Linear)]
     RewardModel(in_features=model.in_features, num_cells=sizes[:-1], num_members=len(members))
-    check_observation(cfg, folder, observed_size(model), shown_size(cfg.env))
+    check_observation(cfg, folder, observed_size(model))
     return model, card
 
 
-def check_observation(cfg: DictConfig, source: str, size: int, expected: int | None = None) -> None:
+def check_observation(
+    cfg: DictConfig, source: str, size: int, names: Sequence[str] = SHOWN
+) -> None:
     """Refuse what was made with another observation than the one of this training.
 
     Args:
         cfg: the configuration.
         source: what messages call that.
         size: of its observation.
-        expected: what it should be; all that this training observes, if ``None``.
+        names: of what it should be, from ``env``.
 
     Raises:
         ValueError: in one line.
     """
-    expected = observation_size(cfg.env) if expected is None else expected
+    expected = observation_size(cfg.env, names)
     if size != expected:
         raise ValueError(
             f"{source} is about observations of {size} entries, here they have {expected}: both recipes "
-            f"must be given the same {', '.join(f'env.{name}' for name in OBSERVED)}."
+            f"must be given the same {', '.join(f'env.{name}' for name in names)}."
         )
 
 

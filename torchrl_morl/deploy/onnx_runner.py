@@ -111,21 +111,6 @@ class Runner(abc.ABC):
                 at first sight it is 0. Needed by policies that read how the robot moves: that is what
                 changed since the last step, and what was commanded then.
         """
-        command = self._step(ranges, goal, preference, stamp, time, human, human_velocity, odometry)
-        self._commands.appendleft((command.speed, command.turn_rate))
-        return command
-
-    def _step(
-        self,
-        ranges: ArrayLike | None,
-        goal: Sequence[float] | None,
-        preference: Sequence[float],
-        stamp: float,
-        time: float,
-        human: Sequence[float] | None,
-        human_velocity: Sequence[float] | None,
-        odometry: Sequence[float] | None,
-    ) -> Command:
         last, self._time = self._time, time if _is_number(time) else self._time
         if not _is_number(time) or not _is_number(stamp):
             given = f"{_shown(time)} and {_shown(stamp)}"
@@ -166,7 +151,8 @@ class Runner(abc.ABC):
             return self._stop("goal reached", f"the goal is {distance:.2f} m away")
         # Both by the same, so that it follows the same arc.
         slower = max(1.0, abs(speed) / self.max_speed, abs(turn_rate) / self.max_turn_rate)
-        return Command(speed / slower, turn_rate / slower, "drive", "", time + self.timeout)
+        speed, turn_rate = speed / slower, turn_rate / slower
+        return self._told(Command(speed, turn_rate, "drive", "", time + self.timeout))
 
     @abc.abstractmethod
     def _scan(self, ranges: ArrayLike) -> tuple[np.ndarray, bool]:
@@ -219,7 +205,11 @@ class Runner(abc.ABC):
 
     def _stop(self, reason: Reason, detail: str) -> Command:
         until = math.inf if self._time is None else self._time + self.timeout
-        return Command(0.0, 0.0, reason, detail, until)
+        return self._told(Command(0.0, 0.0, reason, detail, until))
+
+    def _told(self, command: Command) -> Command:
+        self._commands.appendleft((command.speed, command.turn_rate))
+        return command
 
 
 class OnnxRunner(Runner):

@@ -102,7 +102,7 @@ class Sensing:
         if self.observe_nobody and not self.observe_human:
             raise self._refused("observe_nobody", "false where observe_human is")
         if self.history != 1:
-            raise self._refused("history", "1: this version has no memory")
+            raise self._refused("history", "1: this version reads one observation")
 
     @property
     def observation_size(self) -> int:

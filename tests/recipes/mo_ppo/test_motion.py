@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from envs.policy_env import shown_size
+from envs.policy_env import SHOWN, observation_size
 from tests._mo_ppo import go_on, nothing
 from torchrl_morl.data import save_demonstrations
 from torchrl_morl.deploy import load_policy, save_reward_model
@@ -17,7 +17,7 @@ ANY_ROBOT = {"observe_human_velocity": True, "observe_nobody": True, "observe_ro
 
 @pytest.mark.parametrize("observed", [{}, ANY_ROBOT], ids=["one robot", "any robot"])
 def test_it_learns_with_a_style_shown_without_motion(tmp_path, observed):
-    size = shown_size(observed)
+    size = observation_size(observed, SHOWN)
     torch.manual_seed(0)
     data = TensorDict(
         observation=torch.randn(4, 30, size),

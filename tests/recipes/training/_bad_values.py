@@ -126,6 +126,9 @@ BAD = {
         ("network.min_scale", 2.0, "in (0, network.initial_scale)"),
     ],
     "mo_ppo": [
+        ("env.observe_motion", "yes", "true or false"),
+        ("demonstrations.collision_reward", 500, "at most 0"),
+        ("optim.cloning_speed", 1.5, "[0, 1]"),
         ("policy", "nowhere", "is a folder with policy.safetensors and policy.json"),
         ("policy", 3, "a folder"),
         ("resume", "nowhere", "it must be the folder of"),
