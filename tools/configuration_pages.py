@@ -133,7 +133,7 @@ def page(recipe: Recipe) -> str:
         if (folder / file).exists()
     ]
     lines = [
-        f"# Which fields has {recipe.title}?",
+        f"# Which fields configure {recipe.title}?",
         "",
         f"These. Give them as `FIELD=VALUE` behind `python -m {_command(recipe)}`. Their defaults stand in "
         f"{' and '.join(links)}, with the reasons.",
@@ -154,6 +154,7 @@ def presets(folder: Path) -> list[str]:
         said = takewhile(lambda line: line.startswith("#"), file.read_text().splitlines())
         text = " ".join(line[1:].strip() for line in said if not line.startswith("# @"))
         sentence = re.split(r"(?<=\.) ", text)[0]
+        sentence = re.sub(r"\bdocs/(\w+\.md)", r"[\1](../\1)", sentence)
         if file.stem != "none":
             rows.append(f"| [`{file.stem}`](../../{file.relative_to(ROOT)}) | {sentence} |")
     return rows

@@ -31,7 +31,7 @@ def test_every_field_is_documented_as_its_schema_says(file, text):
 def test_every_preset_is_on_the_page_of_its_recipe(recipe):
     folder = ROOT.joinpath(*recipe.module.split(".")[:-1]) / "preset"
     text = (FOLDER / f"{recipe.page}.md").read_text()
-    named = re.findall(r"^\| \[`(\w+)`\]\(\S+\) \| \w+ .+ \|$", text, re.MULTILINE)
+    named = re.findall(r"^\| \[`(\w+)`\]\(\S+\) \| \S+ .+ \|$", text, re.MULTILINE)
     assert set(named) | {"none"} == {file.stem for file in folder.glob("*.yaml")}
 
 
