@@ -6,7 +6,9 @@ A test fails where the pages are not what this writes.
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Iterator
+from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -131,17 +133,31 @@ def page(recipe: Recipe) -> str:
         if (folder / file).exists()
     ]
     lines = [
-        f"# Which fields has {recipe.title}?",
+        f"# Which fields configure {recipe.title}?",
         "",
         f"These. Give them as `FIELD=VALUE` behind `python -m {_command(recipe)}`. Their defaults stand in "
         f"{' and '.join(links)}, with the reasons.",
     ]
-    if (folder / "preset").is_dir():
-        lines += ["", "`preset=quick` sets several of them for a run of minutes."]
+    if found := presets(folder / "preset"):
+        lines += ["", "`preset=NAME` sets several of them at once:", ""]
+        lines += ["| preset | is |", "|---|---|", *found]
     for section, rows in sections.items():
         lines += ["", f"## {f'`{section}`' if section else 'The run'}", ""]
         lines += ["| field | default | is |", "|---|---|---|", *rows]
     return "\n".join(lines) + "\n"
+
+
+def presets(folder: Path) -> list[str]:
+    """A row for each preset of a recipe, with the first sentence of its file."""
+    rows = []
+    for file in sorted(folder.glob("*.yaml")):
+        said = takewhile(lambda line: line.startswith("#"), file.read_text().splitlines())
+        text = " ".join(line[1:].strip() for line in said if not line.startswith("# @"))
+        sentence = re.split(r"(?<=\.) ", text)[0]
+        sentence = re.sub(r"\bdocs/(\w+\.md)", r"[\1](../\1)", sentence)
+        if file.stem != "none":
+            rows.append(f"| [`{file.stem}`](../../{file.relative_to(ROOT)}) | {sentence} |")
+    return rows
 
 
 def _command(recipe: Recipe) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from recipes.benchmark import train
 from recipes.drex import drex
 from recipes.mo_ppo import mo_ppo
 from recipes.pd_morl import pd_morl
@@ -51,6 +52,39 @@ ON_POLICY = (
     "optim.critic_batches=1",
     "evaluation.interval=192",
 )
+BENCHMARK = (
+    "compute.torch_threads=1",
+    "num_envs=4",
+    "network.num_cells=[16,16]",
+    "evaluation.preferences=3",
+    "evaluation.episodes=1",
+    "logger.backends=[csv]",
+)
+"""Trainings on environments with two objectives."""
+ELSEWHERE_TRAINED = {
+    "pd_morl": (
+        "env=examples.my_environment:Cart-v0",
+        "compute.compile=false",
+        "preference.num_segments=2",
+        "collector.total_frames=80",
+        "collector.frames_per_batch=20",
+        "collector.init_random_frames=40",
+        "optim.updates_per_batch=2",
+        "replay_buffer.batch_size=16",
+        "replay_buffer.size=200",
+        "evaluation.interval=80",
+        "logger.interval=20",
+    ),
+    "mo_ppo": (
+        "env=deep-sea-treasure-v0",
+        "max_episode_steps=30",
+        "collector.total_frames=96",
+        "collector.frames_per_batch=32",
+        "optim.batch_size=16",
+        "optim.epochs=1",
+        "evaluation.interval=96",
+    ),
+}
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +105,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
     return {name: folder / name for name in names}
 
 
-def logged(run: Path) -> set[str]:
+def logged(run: Path, objectives: tuple[str, ...] = OBJECTIVES) -> set[str]:
     """Names of what a run has logged, of each group of objectives or preferences one."""
     scalars = run / "log_csv" / "scalars"
     names = {str(file.relative_to(scalars).with_suffix("")) for file in scalars.rglob("*.csv")}
@@ -83,7 +117,7 @@ def logged(run: Path) -> set[str]:
     for group, ends in groups.items():
         if group in ("train", "eval"):
             found |= {f"{group}/{end}" for end in ends}
-        elif ends == set(OBJECTIVES):
+        elif ends == set(objectives):
             found.add(f"{group}/<objective>")
         else:
             assert ends == set(PREFERENCES), (group, ends)
@@ -128,3 +162,16 @@ def test_page_explains_the_card_and_the_pictures_of_a_reward_model(runs):
     reported = set(card) - {"config", "versions", "demonstrator"}  # what made it
     reported |= {picture.name for picture in folder.glob("*.png")}
     assert explained("drex.md", "What a run reports") == reported
+
+
+@pytest.mark.parametrize("algorithm", ELSEWHERE_TRAINED)
+def test_page_explains_what_a_training_on_another_environment_logs(algorithm, tmp_path):
+    """Evaluations have names of their own, updates those of the method; discrete actions add some."""
+    given = (*BENCHMARK, *ELSEWHERE_TRAINED[algorithm], "objectives=[first,second]")
+    run_here(train.main, f"algorithm={algorithm}", *given, f"hydra.run.dir={tmp_path}/run")
+    page = "how_to/environment.md"
+    found = logged(tmp_path / "run", ("first", "second"))
+    updates = {name for name in found if name.startswith("train/")}
+    assert found - updates == explained(page, "What an evaluation measures")
+    added = explained(page, "What a training logs") if algorithm == "mo_ppo" else set()
+    assert updates - explained(f"{algorithm}.md", "Logged metrics") == added

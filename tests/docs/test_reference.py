@@ -27,6 +27,14 @@ def test_every_field_is_documented_as_its_schema_says(file, text):
     assert (FOLDER / file).read_text() == text
 
 
+@pytest.mark.parametrize("recipe", configuration_pages.RECIPES, ids=lambda one: one.page)
+def test_every_preset_is_on_the_page_of_its_recipe(recipe):
+    folder = ROOT.joinpath(*recipe.module.split(".")[:-1]) / "preset"
+    text = (FOLDER / f"{recipe.page}.md").read_text()
+    named = re.findall(r"^\| \[`(\w+)`\]\(\S+\) \| \S+ .+ \|$", text, re.MULTILINE)
+    assert set(named) | {"none"} == {file.stem for file in folder.glob("*.yaml")}
+
+
 def test_no_other_page_of_fields_is_there():
     assert {path.name for path in FOLDER.iterdir()} == dict(configuration_pages.pages()).keys()
 
