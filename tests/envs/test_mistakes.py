@@ -65,6 +65,7 @@ MISTAKES = [
     ({"objectives": ["core", 3]}, "Unknown objective 3"),
     ({"rewards": [1]}, "rewards must be an envs.RewardConstants or a mapping, got [1]"),
     ({"rewards": {"goal_reward": "much"}}, "rewards: goal_reward must be a number above 0"),
+    ({"rewards": {"collision_reward": -1e300}}, "collision_reward must be a number that float32"),
     ({"repeat_failed": "often"}, "repeat_failed must be between 0 and 1, got 'often'"),
     ({"camera": 3}, "camera must be a name or an envs.Camera, got 3"),
 ]
