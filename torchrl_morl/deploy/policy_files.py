@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictSequential
 from tensordict.utils import NestedKey
 from torchrl.data import Bounded
 
+from torchrl_morl.arguments import check_device
 from torchrl_morl.modules import make_actor
 from torchrl_morl.preferences import PreferenceSpace
 
@@ -125,6 +126,7 @@ def load_policy(
         >>> policy.robot, policy.period, policy.sensing.max_range
         ('turtlebot2', 0.2, 4.0)
     """
+    check_device("device", device)
     config = read_config(folder, _KIND)
     where = str(paths(folder, _KIND)[1])
     names, static = config.texts("objectives"), config.object("static")

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from torchrl_morl.arguments import check_device
 from torchrl_morl.modules import RewardModel
 
 from .entries import Entries
@@ -74,6 +75,7 @@ def load_reward_model(
         ValueError: if a file is broken, changed, of another format, or does not fit the other. In one
             line.
     """
+    check_device("device", device)
     config = read_config(folder, _KIND)
     if config["format"] > 1:
         network = config.object("network")
