@@ -16,7 +16,6 @@ from torchrl_morl.arguments import is_number
 from .fields import shown
 from .geometry import norm
 
-
 # Beyond it rewards would be infinite.
 _LARGEST = 3.4e38
 
