@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import torch
 
-from torchrl_morl.arguments import check_count, check_device, check_flag, is_number
+from torchrl_morl.arguments import (
+    check_count,
+    check_device,
+    check_flag,
+    check_seed,
+    is_number,
+)
 
 from .fields import shown
 from .scene_numbers import METRES
@@ -24,8 +30,6 @@ MOST_STEPS = 2**62
 MOST_PIXELS = 16_384
 """Along a side of a picture."""
 
-MOST_SEED = 2**63 - 2
-"""Faults take the one behind it."""
 
 _FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
 
@@ -66,19 +70,6 @@ def check_simulations(
             f"num_envs x render_width x render_height must be at most {MOST_READINGS:,} with "
             f"from_pixels, got {num_envs} x {render_width} x {render_height}."
         )
-
-
-def check_seed(seed: object) -> None:
-    """Raise ``ValueError`` unless generators can begin with it; ``None`` is any.
-
-    Examples:
-        >>> check_seed("a")
-        Traceback (most recent call last):
-            ...
-        ValueError: seed must be a whole number, at least 0, got 'a'.
-    """
-    if seed is not None:
-        check_count("seed", seed, least=0, most=MOST_SEED)
 
 
 def check_senses(

@@ -15,11 +15,19 @@ __all__ = [
     "check_device",
     "check_flag",
     "check_positive",
+    "check_seed",
     "check_sizes",
     "is_number",
     "key_list",
     "shown",
 ]
+
+
+_MOST_WEIGHTS = 2**30
+"""Of a layer: 4 GB in single precision."""
+
+_MOST_SEED = 2**63 - 2
+"""Some components seed a second generator with the number behind it."""
 
 
 def shown(value: object) -> str:
@@ -68,10 +76,32 @@ def check_count(name: str, value: object, least: int = 1, most: int | None = Non
 
 
 def check_sizes(in_features: int, num_cells: Sequence[int]) -> None:
-    """Raise ``ValueError`` unless a network has at least one input, and one cell in every layer."""
+    """Raise ``ValueError`` unless a network has at least one input, one cell in every layer, and room for them."""
     check_count("in_features", in_features)
+    if isinstance(num_cells, str) or not isinstance(num_cells, Sequence):
+        raise ValueError(f"num_cells must be a list of whole numbers, got {shown(num_cells)}.")
+    before = in_features
     for index, size in enumerate(num_cells):
         check_count(f"num_cells[{index}]", size)
+        if before * size > _MOST_WEIGHTS:
+            raise ValueError(
+                f"num_cells[{index}] makes a layer of {shown(before)} x {shown(size)} weights, at most "
+                f"{_MOST_WEIGHTS:,} are allowed."
+            )
+        before = size
+
+
+def check_seed(seed: object) -> None:
+    """Raise ``ValueError`` unless a generator can begin with it; ``None`` is any.
+
+    Example:
+        >>> check_seed("a")
+        Traceback (most recent call last):
+        ...
+        ValueError: seed must be a whole number, at least 0, got 'a'.
+    """
+    if seed is not None:
+        check_count("seed", seed, least=0, most=_MOST_SEED)
 
 
 def check_flag(name: str, value: object) -> None:
@@ -87,7 +117,7 @@ def check_flag(name: str, value: object) -> None:
         raise ValueError(f"{name} must be True or False, got {shown(value)}.")
 
 
-def check_device(name: str, value: object) -> None:
+def check_device(name: str, value: object, *, holds_values: bool = True) -> None:
     """Raise ``ValueError`` unless PyTorch can put tensors there; ``None`` is wherever they are.
 
     Example:
@@ -106,7 +136,7 @@ def check_device(name: str, value: object) -> None:
             f"{name} must be one that PyTorch {torch.__version__} finds here, such as 'cpu', got "
             f"{shown(value)}: {why[:100]}"
         ) from error
-    if made.is_meta:
+    if made.is_meta and holds_values:
         raise ValueError(
             f"{name} must be one that holds values, such as 'cpu', got {shown(value)}."
         )

@@ -142,7 +142,7 @@ def load_policy(
             f"{paths(folder, _KIND)[0]} does not fit {_KIND}.json: it should have "
             f"{2 * (depth + 1) + 2} entries, for {depth} hidden layers, and has another number."
         )
-    actor = _build(network)
+    actor = _built(network)
     card = config.plain("card")
     if config["format"] > 1:
         sensing = None
@@ -213,6 +213,16 @@ def _network_of_format1(config: Entries) -> Entries:
         "out_key": "action",
     }
     return Entries(network, config.where)
+
+
+def _built(network: Entries) -> TensorDictSequential:
+    """The same of a file, which refusals name."""
+    try:
+        return _build(network)
+    except ValueError as error:
+        message = str(error)
+        named = message.startswith(network.where)
+        raise ValueError(message if named else f"{network.where}: {message}") from error
 
 
 def _build(network: Entries) -> TensorDictSequential:

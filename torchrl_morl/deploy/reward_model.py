@@ -90,9 +90,19 @@ def load_reward_model(
             "layers, and has another number."
         )
     card = config.plain("card")
-    model = _build(network)
+    model = _built(network)
     read_weights(folder, _KIND, model, config)
     return model.requires_grad_(False).eval().to(device), card
+
+
+def _built(network: Entries) -> RewardModel:
+    """The same of a file, which refusals name."""
+    try:
+        return _build(network)
+    except ValueError as error:
+        message = str(error)
+        named = message.startswith(network.where)
+        raise ValueError(message if named else f"{network.where}: {message}") from error
 
 
 def _build(network: Entries) -> RewardModel:

@@ -200,6 +200,7 @@ REFUSED = {
     "layers as text": (put("network", num_cells="16"), "num_cells must be a list of integers"),
     "layers of floats": (put("network", num_cells=[16.0, 8.0]), "num_cells must be a list"),
     "layers of truth": (put("network", num_cells=[True, 8]), "num_cells must be a list"),
+    "a layer of 2**48 weights": (put("network", num_cells=[2**24, 2**24]), "json: .*num_cells"),
     "inputs of 10**9": (put("network", in_features=10**9), "in_features must be|reads"),
     "keys that are no list": (put("network", in_keys=7), "in_keys must be a list of keys"),
     "keys of numbers": (put("network", in_keys=[1, 2]), "in_keys must be"),
