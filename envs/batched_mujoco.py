@@ -16,9 +16,8 @@ from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from torchrl_morl.arguments import check_count
-
 from .actions import refuse_non_finite, refuse_shape
+from .limits import check_seed, check_simulations
 from .pixels import PixelsMixin
 from .rendering import Camera
 
@@ -50,23 +49,21 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
     override :meth:`_prepare_ctrl`, :meth:`_on_reset` and :meth:`_simulate`.
 
     Keyword Args:
-        num_envs: number of simulations, at least 1.
+        num_envs: number of simulations, 1 to 100,000.
         num_threads: native threads; 0 uses every CPU.
         frame_skip: physics steps in a control step; defaults to :attr:`FRAME_SKIP`.
         max_episode_steps: control steps after which an episode is truncated.
         seed: seed of every random draw of the environment; random if ``None``.
         device: where observations, rewards and flags go. The physics stays on the CPU.
         dtype: floating-point type of observations, actions and rewards.
-        snapshots: observe the simulator's state too, as above; without it a transition is smaller
-            and ``set_state=True`` is refused.
+        snapshots: observe the simulator's state too, as above; ``set_state=True`` needs it.
         from_pixels: observe ``pixels`` too, uint8 ``[num_envs, render_height, render_width, 3]``.
         render_width: width of pictures, pixels.
         render_height: height of pictures, pixels.
         camera: a :class:`envs.Camera`, the name of a camera of the model, or ``"overview"``.
 
     Raises:
-        ValueError: for ``num_envs``, ``frame_skip``, ``max_episode_steps``, ``render_width`` or
-            ``render_height`` below 1, or a negative ``num_threads``.
+        ValueError: for a size, a seed, a device or a type that no simulation can have.
     """
 
     FRAME_SKIP: ClassVar[int] = 5
@@ -93,15 +90,19 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
         camera: str | Camera = "overview",
     ) -> None:
         frame_skip = self.FRAME_SKIP if frame_skip is None else frame_skip
-        for name, value in (
-            ("num_envs", num_envs),
-            ("frame_skip", frame_skip),
-            ("max_episode_steps", max_episode_steps),
-        ):
-            check_count(name, value)
-        check_count("num_threads", num_threads, least=0)  # 0: every CPU
-        if dtype not in (torch.float16, torch.bfloat16, torch.float32, torch.float64):
-            raise ValueError(f"dtype must be a floating point one of PyTorch, got {dtype!r}.")
+        check_simulations(
+            num_envs=num_envs,
+            num_threads=num_threads,
+            frame_skip=frame_skip,
+            max_episode_steps=max_episode_steps,
+            seed=seed,
+            device=device,
+            dtype=dtype,
+            snapshots=snapshots,
+            from_pixels=from_pixels,
+            render_width=render_width,
+            render_height=render_height,
+        )
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self.num_envs = num_envs
         self.num_threads = num_threads
@@ -389,6 +390,7 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
         return values.new_zeros(self.num_envs, *values.shape[1:]).index_copy_(0, ids, values)
 
     def _set_seed(self, seed: int | None) -> None:
+        check_seed(seed)
         if seed is not None:
             self.rng.manual_seed(seed)
 

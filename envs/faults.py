@@ -11,6 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from .fields import shown
+
 _NEVER_NEGATIVE = (
     "range_noise",
     "velocity_noise",
@@ -293,7 +295,9 @@ def get_faults(faults: Faults | Mapping[str, Any] | None) -> Faults:
     """
     if isinstance(faults, Faults):
         return faults
+    if not isinstance(faults, (Mapping, type(None))):
+        raise ValueError(f"faults must be an envs.Faults or a mapping, got {shown(faults)}.")
     for name in faults or {}:
         if name not in _COLUMNS:
-            raise ValueError(f"Unknown fault {name!r}: choose among {list(_COLUMNS)}.")
+            raise ValueError(f"Unknown fault {shown(name)}: choose among {list(_COLUMNS)}.")
     return Faults(**(faults or {}))

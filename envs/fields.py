@@ -44,7 +44,10 @@ class _Loader(yaml.SafeLoader):
 
 def shown(value: Any) -> str:
     """A value in one short line, whatever it is."""
-    return _REPR.repr(value)
+    try:
+        return _REPR.repr(value)
+    except ValueError:  # Python refuses to write more than 4,300 digits
+        return f"an {type(value).__name__} of more digits than can be shown"
 
 
 def is_description(source: Any) -> bool:

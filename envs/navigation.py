@@ -18,15 +18,15 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Bounded, Composite, Unbounded
 
-from torchrl_morl.arguments import check_count, is_number
+from torchrl_morl.arguments import check_flag
 
 from .batched_mujoco import BatchedMujocoEnv, PhysicsState
 from .bodies import SceneBodies
 from .drive import pose_to_qpos, qpos_to_pose, velocity_to_ctrl
 from .faults import Faults, get_faults
-from .fields import shown
 from .geometry import cos_sin
 from .lidar import Lidar
+from .limits import check_senses
 from .mjcf import Drive, navigation_mjcf, time_step
 from .navigation_specs import observation_spec, snapshot_specs
 from .navigation_task import PAPER_OBJECTIVES, NavigationTask
@@ -129,10 +129,8 @@ class NavigationEnv(BatchedMujocoEnv):
         camera: str | Camera = "top",
         **kwargs: Any,
     ) -> None:
-        for name, value in (("goal_radius", goal_radius), ("max_range", max_range)):
-            if not (is_number(value) and value > 0):
-                raise ValueError(f"{name} must be positive, got {shown(value)}.")
-        check_count("num_rays", num_rays)
+        check_senses(kwargs.get("num_envs", 1), num_rays, max_range, goal_radius)
+        check_flag("report_robot", report_robot)
         self.scene = get_scene(scene)
         self.robots = RobotBatch(get_robots(robot), kwargs.get("num_envs", 1), drive)
         self.robot, self.drive = self.robots.largest, drive

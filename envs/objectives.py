@@ -16,6 +16,9 @@ from torchrl_morl.arguments import is_number
 from .fields import shown
 from .geometry import norm
 
+# Beyond it rewards would be infinite.
+_LARGEST = 3.4e38
+
 
 @dataclasses.dataclass(frozen=True)
 class RewardConstants:
@@ -60,6 +63,11 @@ class RewardConstants:
             ("clearance_threshold", "a number of metres above 0", lambda value: value > 0),
         ):
             value = getattr(self, name)
+            if is_number(value) and abs(value) > _LARGEST:
+                raise ValueError(
+                    f"rewards: {name} must be a number that float32 holds, up to {_LARGEST:g}, got "
+                    f"{shown(value)}."
+                )
             if not (is_number(value) and fits(value)):
                 raise ValueError(f"rewards: {name} must be {allowed}, got {shown(value)}.")
 

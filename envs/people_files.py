@@ -16,7 +16,7 @@ from .fields import Fields, is_list, number_hint, shown
 from .people import nobody, person
 from .scene_checks import Problem, problems_of_company, problems_of_people
 from .scene_numbers import FASTEST, METRES, RADIANS, Range, read_boxes, read_numbers
-from .scenes import Scene
+from .scenes import MOST_PEOPLE, Scene
 
 _PERSON_FIELDS = ("at", "goal", "speed", "sets_out")
 _LATEST = 60.0  # an episode, seconds
@@ -40,6 +40,10 @@ def scene_with_people(fields: Fields) -> Scene:
     given = fields.values["people"]
     if not is_list(given):
         raise fields.refusal("people", "a list of {at, goal, speed, sets_out}", given)
+    if len(given) > MOST_PEOPLE:
+        raise ValueError(
+            f"{fields.where}: people must be at most {MOST_PEOPLE}, got {len(given):,}."
+        )
     people = [_person(fields, index, one) for index, one in enumerate(given)]
     boxes = read_boxes(fields)
     fastest = max((numbers[4][1] for numbers in people), default=0.0)

@@ -14,6 +14,7 @@ from torchrl.data import Bounded
 
 from torchrl_morl.evaluation.overlay import draw_preference
 
+from .fields import shown
 from .rendering import Camera, Renderer
 
 
@@ -35,10 +36,8 @@ class PixelsMixin:
     def _init_pixels(
         self, from_pixels: bool, width: int, height: int, camera: str | Camera
     ) -> None:
-        if width < 1 or height < 1:
-            raise ValueError(
-                f"render_width and render_height must be at least 1, got {width} and {height}."
-            )
+        if not isinstance(camera, (str, Camera)):
+            raise ValueError(f"camera must be a name or an envs.Camera, got {shown(camera)}.")
         self.from_pixels = from_pixels
         self.render_width = width
         self.render_height = height

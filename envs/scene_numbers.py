@@ -9,6 +9,7 @@ from typing import Any
 from torchrl_morl.arguments import is_number
 
 from .fields import Fields, is_list, number_hint
+from .scenes import MOST_BOXES
 
 # Coordinates and sizes beyond are millimetres by mistake, angles beyond are degrees.
 _FARTHEST = 100.0
@@ -28,6 +29,10 @@ def read_boxes(fields: Fields) -> list[list[Range]]:
     boxes = fields.values.get("boxes", [])
     if not is_list(boxes):
         raise fields.refusal("boxes", "a list of {at, yaw, size}", boxes)
+    if len(boxes) > MOST_BOXES:
+        raise ValueError(
+            f"{fields.where}: boxes must be at most {MOST_BOXES:,}, got {len(boxes):,}."
+        )
     out = []
     for index, box in enumerate(boxes):
         at = f"boxes[{index}]"

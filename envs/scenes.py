@@ -28,6 +28,9 @@ from .fields import is_name, shown
 HUMAN_RADIUS = 0.25
 """Radius of the cylinder that stands for the human, metres."""
 
+MOST_BOXES, MOST_PEOPLE = 1_000, 100
+"""Of a scene: every pair of them is looked at."""
+
 CLEARANCE = 0.1
 """What every gap leaves beyond the robot's own size, metres."""
 
@@ -67,13 +70,9 @@ class Scene:
     def __post_init__(self) -> None:
         if not is_name(self.name):
             raise ValueError(f"scene: name must be text of one line, got {shown(self.name)}.")
-        count = self.num_boxes
-        if not isinstance(count, int) or isinstance(count, bool) or count < 0:
-            raise ValueError(
-                f"Scene {self.name!r}: num_boxes must be a whole number, 0 or more, got {shown(count)}."
-            )
+        check_count(f"Scene {self.name!r}: num_boxes", self.num_boxes, least=0, most=MOST_BOXES)
         if self.num_people is not None:
-            check_count(f"Scene {self.name!r}: num_people", self.num_people)
+            check_count(f"Scene {self.name!r}: num_people", self.num_people, most=MOST_PEOPLE)
         if not callable(self.sample):
             raise ValueError(
                 f"Scene {self.name!r}: sample must be a function, got {shown(self.sample)}."

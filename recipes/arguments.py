@@ -8,11 +8,16 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import math
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
+
+from envs.fields import shown
+from envs.places import no_file, no_folder
 
 
 class Parser(argparse.ArgumentParser):
@@ -156,14 +161,20 @@ def some_path(text: str) -> Path:
     """
     if not text:
         raise argparse.ArgumentTypeError(f"must be a path, got {text!r}: . is the current folder")
+    try:
+        os.lstat(text)
+    except (OSError, ValueError) as error:
+        # What is not there may be made; no folder can hold other names.
+        if isinstance(error, ValueError) or error.errno == errno.ENAMETOOLONG:
+            why = getattr(error, "strerror", None) or error
+            raise argparse.ArgumentTypeError(f"must be a path, got {shown(text)}: {why}") from error
     return Path(text)
 
 
 def existing_file(text: str) -> Path:
     """A file that is there."""
     path = some_path(text)
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
+    if what := no_file(path):
         raise argparse.ArgumentTypeError(f"must be a file, {text!r} {what}")
     return path
 
@@ -171,8 +182,7 @@ def existing_file(text: str) -> Path:
 def existing_folder(text: str) -> Path:
     """A folder that is there."""
     path = some_path(text)
-    if not path.is_dir():
-        what = "is a file" if path.exists() else "does not exist"
+    if what := no_folder(path):
         raise argparse.ArgumentTypeError(f"must be a folder, {text!r} {what}")
     return path
 
@@ -180,8 +190,8 @@ def existing_folder(text: str) -> Path:
 def existing(text: str) -> Path:
     """A file or a folder that is there."""
     path = some_path(text)
-    if not path.exists():
-        raise argparse.ArgumentTypeError(f"must be a file or a folder, {text!r} does not exist")
+    if (what := no_file(path)) and no_folder(path):
+        raise argparse.ArgumentTypeError(f"must be a file or a folder, {text!r} {what}")
     return path
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from recipes.outputs import check_writable
+from recipes.training.foreign import refuse_foreign
 from recipes.training.quoting import is_harmless
 from recipes.training.run_folder import claim, write_atomically
 
@@ -70,16 +71,18 @@ class Record:
         """
         if not (isinstance(self.options, dict) and isinstance(self.stages, dict)):
             raise TypeError("its entries are no mappings")
+        if not isinstance(self.finished, bool):
+            raise TypeError(f"it is finished or not, it says {self.finished!r}")
         for name, option in self.options.items():
             for one in option if isinstance(option, list) else ():
                 if not (isinstance(one, str) and is_harmless(one)):
-                    raise TypeError(f"its option {name} holds {one!r}, which no folder may say")
+                    raise TypeError(f"its option {name!r} holds {one!r}, which no folder may say")
         for name, stage in self.stages.items():
             folder = stage.get("folder", "") if isinstance(stage, Mapping) else ""
-            if folder is not None and (not isinstance(folder, str) or Path(folder).name != folder):
-                raise TypeError(f"its stage {name} is not in a folder of its own")
+            if folder is not None and not _is_a_name(folder):
+                raise TypeError(f"its stage {name!r} is not in a folder of its own")
             if not isinstance(stage, Mapping) or folder == "":
-                raise TypeError(f"its stage {name} names no folder")
+                raise TypeError(f"its stage {name!r} names no folder")
 
     def check_options(self, **types: type | tuple[type, ...]) -> None:
         """Whether the options are those of a command, by name and type.
@@ -179,6 +182,7 @@ def to_resume(folder: Path, **types: type | tuple[type, ...]) -> Record:
             f"{folder} is no training yet, {Record.FILE} not found: begin one in it with --output "
             f"{shlex.quote(str(folder))}."
         )
+    refuse_foreign(folder)
     record = Record.load(folder.resolve())
     record.check_options(**types)
     if record.finished:
@@ -194,8 +198,17 @@ def lock(folder: Path) -> IO[str] | None:
 
     Raises:
         OSError: if the folder cannot be written.
+        ValueError: if the lock is a link.
     """
-    file = (folder / ".lock").open("w")
+    path = folder / ".lock"
+    # The folder may be somebody else's: not through a link, and nothing is emptied.
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+    try:
+        file = os.fdopen(os.open(path, flags, 0o666), "w")
+    except OSError as error:
+        if not path.is_symlink():
+            raise
+        raise ValueError(f"{path} is a link, where a training has a file: remove it.") from error
     os.set_inheritable(file.fileno(), True)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -215,6 +228,16 @@ def locked(record: Record) -> IO[str]:
     if held is None:
         raise ValueError(f"{record.folder} is being trained by another process.")
     return held
+
+
+def _is_a_name(value: object) -> bool:
+    """Whether it is text that names something beside the record, and nothing elsewhere."""
+    return (
+        isinstance(value, str)
+        and value.isprintable()
+        and value != ".."
+        and Path(value).name == value
+    )
 
 
 def is_unused(folder: Path) -> bool:

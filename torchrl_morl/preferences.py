@@ -13,12 +13,13 @@ import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
+from math import comb
 from typing import Literal, get_args
 
 import torch
 from torch import Tensor
 
-from torchrl_morl.arguments import check_count
+from torchrl_morl.arguments import check_count, shown
 from torchrl_morl.generators import randn
 
 __all__ = [
@@ -27,6 +28,8 @@ __all__ = [
     "check_distribution",
     "check_preference_space",
 ]
+
+_MOST_PREFERENCES = 10_000_000
 
 SamplingDistribution = Literal["dirichlet", "abs_normal", "jeffreys"]
 
@@ -281,6 +284,10 @@ class PreferenceSpace:
 
         """
         check_count("divisions", divisions, 1)
+        if comb(divisions + self.num_tunable - 1, self.num_tunable - 1) > _MOST_PREFERENCES:
+            raise ValueError(
+                f"divisions must give at most {_MOST_PREFERENCES:,} preferences, got {shown(divisions)}."
+            )
         bars = self.num_tunable - 1
         last = divisions + bars
         rows = []
@@ -314,7 +321,7 @@ class PreferenceSpace:
                     [1.0000, 0.0000]])
 
         """
-        check_count("steps", steps, 2)
+        check_count("steps", steps, 2, most=_MOST_PREFERENCES)
         size = self.num_tunable
         if size == 1:
             return torch.ones(1, 1)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..fields import shown
 from .recordings import BOX_COLUMNS, box_fault
 from .tables import Table
 
@@ -39,7 +40,9 @@ class BoxFile:
             if line.trajectory not in names:
                 close = difflib.get_close_matches(line.trajectory, list(names), 1)
                 hint = f" Is {close[0]!r} meant?" if close else ""
-                raise ValueError(f"{place}: {drives} has no trajectory {line.trajectory!r}.{hint}")
+                raise ValueError(
+                    f"{place}: {drives} has no trajectory {shown(line.trajectory)}.{hint}"
+                )
             numbers = table.numbers(line)
             if isinstance(numbers, str):
                 self._faults[line.trajectory].append(f"{path}, {numbers}")

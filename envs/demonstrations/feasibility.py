@@ -22,6 +22,10 @@ from .timed_path import TimedPath, resample, velocities
 _GOAL_DRIFT = 0.01
 # A value this many times over its limit is of another unit rather than of another robot.
 _ABSURD = 10.0
+# Beyond them sums and squares are no numbers: metres and radians, and seconds, even where they are nanoseconds.
+_FARTHEST, _LATEST = 1e12, 1e24
+# Two days: nobody has driven so far, and so many points would fill the memory.
+_MOST_STEPS = 1_000_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,8 +99,13 @@ def check(
     reasons = _unusable(recording, tolerances)
     if reasons:
         return None, reasons
-    path = resample(recording)
     period = NavigationEnv.CONTROL_PERIOD
+    duration = float(recording.time[-1] - recording.time[0])
+    if duration > _MOST_STEPS * period:
+        what = f"longer than {_MOST_STEPS:,} control steps"
+        text = f"lasts {duration:g} s, {what}"
+        return None, [Reason(text, what, "times in seconds?", duration, "s")]
+    path = resample(recording)
     if path is None:
         text = "has no heading and never moves, so that none can be derived"
         return None, [Reason(text, "without heading that never move")]
@@ -161,10 +170,12 @@ def _unusable(recording: Recording, tolerances: Tolerances) -> list[Reason]:
         return [Reason(f"has {count} point(s), fewer than 2", "of fewer than 2 points")]
     reasons = []
     for name, values in recording.columns().items():
-        bad = ~np.isfinite(values)
+        bad = ~(np.abs(values) <= (_LATEST if name == "time" else _FARTHEST))
         if bad.any():
             more = f" and {bad.sum() - 1} more" if bad.sum() > 1 else ""
-            text = f"column {name} is not finite at {recording.place(bad.argmax())}{more}"
+            first = values[bad.argmax()]
+            what = f"beyond all sense, {first:g}," if np.isfinite(first) else "not finite"
+            text = f"column {name} is {what} at {recording.place(bad.argmax())}{more}"
             reasons.append(Reason(text, "with numbers that are not finite"))
     if reasons:
         return reasons

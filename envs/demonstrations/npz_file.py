@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .recordings import COLUMNS, Recording, box_fault, make_recording
+from ..fields import shown
+from .recordings import COLUMNS, LONGEST_NAME, Recording, box_fault, make_recording
 
 _OPTIONAL = ("heading", "boxes", "trajectory")
 _BROADCAST = ("human_x", "human_y", "goal_x", "goal_y")
@@ -102,6 +103,10 @@ def _names(path: Path, array: np.ndarray, count: int) -> list[str]:
         name.decode(errors="replace") if isinstance(name, bytes) else str(name)
         for name in array.ravel().tolist()
     ]
+    if wrong := [name for name in names if not name.isprintable() or len(name) > LONGEST_NAME]:
+        raise ValueError(
+            f"{path}, array trajectory: {shown(wrong[0])} is no name of up to {LONGEST_NAME} characters."
+        )
     twice = [name for name, times in Counter(names).items() if times > 1]
     if array.shape != (count,) or twice:
         what = f"; twice: {twice[:5]}" if twice else f", got shape {list(array.shape)}"

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from ..places import no_file, no_folder
 from .bag_file import BagFile, bags
 from .bag_topics import BagTopics
 from .csv_file import CsvFile
@@ -50,11 +51,14 @@ def open_recordings(
             column, the array or the topic.
     """
     path = Path(path)
-    found = bags(path) if path.exists() else []
+    there = not no_file(path) or not no_folder(path)
+    found = bags(path) if there else []
+    for one in found:
+        if (what := no_file(one)) and no_folder(one):
+            raise FileNotFoundError(f"{one} {what}.")
     for file in (None if found else path, boxes):
-        if file is not None and not Path(file).is_file():
-            what = "is a folder, not a file" if Path(file).is_dir() else "not found"
-            raise FileNotFoundError(f"{file} {what}.")
+        if file is not None and (what := no_file(file)):
+            raise FileNotFoundError(f"{file} {what}{_instead(Path(file))}.")
     boxes = None if boxes is None else Path(boxes)
     if found:
         return BagFile(
@@ -72,6 +76,14 @@ def open_recordings(
     raise ValueError(
         f"{path}: trajectories are a .csv or an .npz file or a ROS bag, got {path.suffix!r}."
     )
+
+
+def _instead(path: Path) -> str:
+    """What in a folder is meant, where a file is needed."""
+    if not path.is_dir():
+        return ""
+    inside = sorted(one for one in path.iterdir() if one.suffix.lower() in (".csv", ".npz"))
+    return f": is {inside[0]} meant?" if inside else ", and holds no .csv, .npz or ROS bag"
 
 
 def read_recordings(path: str | Path, boxes: str | Path | None = None) -> list[Recording]:

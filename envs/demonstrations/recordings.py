@@ -11,6 +11,9 @@ import numpy as np
 COLUMNS = ("time", "x", "y", "human_x", "human_y", "goal_x", "goal_y")
 """Numbers that every point of a trajectory has: seconds and metres."""
 
+LONGEST_NAME = 200
+"""Characters of what a trajectory is called."""
+
 BOX_COLUMNS = ("x", "y", "yaw", "half_length", "half_width")
 """A rectangle on the floor: metres, and radians for its yaw."""
 

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import codecs
 import csv
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from ..fields import shown
+from .recordings import LONGEST_NAME
+
 # What people write into a cell that has no number.
 _EMPTY = ("", "-", "na", "n/a", "none", "null")
+
 _NAMES = {",": "commas", ";": "semicolons", "\t": "tabs"}
 
 
@@ -44,6 +49,8 @@ class Table:
             start = file.read(4096)
         if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             raise ValueError(f"{path} is UTF-16: save it as UTF-8.")
+        if start.startswith(b"\x1f\x8b"):
+            raise ValueError(f"{path} is compressed by gzip: unpack it first.")
         if b"\0" in start:
             raise ValueError(f"{path} is not a text file: save it as CSV in UTF-8.")
         self.path, self.required, self.optional = path, tuple(required), tuple(optional)
@@ -117,7 +124,7 @@ class Table:
             try:
                 values.append(float(decimal))
             except ValueError:
-                what = f"{cell!r} is not a number" if cell else "the cell is empty"
+                what = f"{shown(cell)} is not a number" if cell else "the cell is empty"
                 hint = ", numbers have decimal points" if "," in cell else ""
                 return f"line {line.number}, column {column}: {what}{hint}"
         return values
@@ -160,7 +167,7 @@ class Table:
         column = header.index("trajectory")
         if len(cells) != len(header):
             # Cells that are too many or too few shift all but the first.
-            name = cells[0] if column == 0 and len(cells) > 1 else ""
+            name = _in_a_line(cells[0]) if column == 0 and len(cells) > 1 else ""
             fault = f"{place}: {len(cells)} cells, but {len(header)} columns"
             if self.delimiter == "," and len(cells) > len(header):
                 fault += " (for decimal commas, separate the columns with semicolons)"
@@ -168,6 +175,11 @@ class Table:
         name, fault = cells[column], None
         if not name:
             fault = f"{place}, column trajectory: the cell is empty"
+        elif not name.isprintable() or len(name) > LONGEST_NAME:
+            name = _in_a_line(name)
+            fault = (
+                f"{place}, column trajectory: {name} is no name of up to {LONGEST_NAME} characters"
+            )
         # Python reads 1_0 as ten, which no recorder means.
         elif "_" in text and any("_" in cells[index] for index in self._indices):
             fault = f"{place}: an underscore in a number"
@@ -203,12 +215,17 @@ class Table:
         expected = ["trajectory", *self.required]
         missing = [name for name in expected if name not in header]
         unknown = [name for name in header if name not in (*expected, *self.optional)]
-        twice = sorted({name for name in header if header.count(name) > 1})
+        twice = sorted(name for name, times in Counter(header).items() if times > 1)
         return (
             f"{self.path}, line {number}: the header must name the columns {','.join(expected)}"
             f"{''.join(f' and may name {name}' for name in self.optional)}, each once, separated by "
-            f"commas, semicolons or tabs; missing: {missing}, unknown: {unknown}, twice: {twice}."
+            f"commas, semicolons or tabs; missing: {missing}, unknown: {shown(unknown)}, twice: {shown(twice)}."
         )
+
+
+def _in_a_line(name: str) -> str:
+    """A name that reports can show: others in quotes, cut short."""
+    return name if name.isprintable() and len(name) <= LONGEST_NAME else shown(name)
 
 
 def _split(text: str, delimiter: str) -> list[str]:

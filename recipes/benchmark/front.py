@@ -46,7 +46,7 @@ def configuration(run: Path) -> dict:
     file = run / ".hydra" / "config.yaml"
     try:
         config = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+    except (OSError, ValueError, RecursionError, yaml.YAMLError):
         config = None
     return config if isinstance(config, dict) else {}
 

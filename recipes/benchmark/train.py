@@ -66,7 +66,7 @@ def asked_for(arguments: Sequence[str]) -> str:
     if "resume" in given and kept.is_file():
         try:
             overrides = yaml.safe_load(kept.read_text())
-        except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        except (OSError, ValueError, RecursionError, yaml.YAMLError):
             overrides = None
         # What is wrong with them is said where the run goes on.
         if isinstance(overrides, list) and all(isinstance(one, str) for one in overrides):

@@ -169,7 +169,15 @@ def resumed(folder: Path, drives_folder: Path) -> Dialogue:
         posterior = PreferencePosterior.load(folder / POSTERIOR)
         drives, radii = all_drives(setting, drives_folder)
         question_seed = int(setting["question_seed"])
-    except (OSError, KeyError, TypeError, json.JSONDecodeError) as error:
+    except (
+        OSError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+        UnicodeDecodeError,
+        json.JSONDecodeError,
+    ) as error:
         raise ValueError(f"--resume {folder} holds no choices of this command: {error}") from error
     if posterior.contexts != tuple(drives):
         raise ValueError(

@@ -168,7 +168,7 @@ def load(path: Path, request: Request) -> Sweep:
         space = PreferenceSpace(tuple(about["objectives"]), static=about["static"])
         result = Sweep(preference_space=space, **data)
         made = about["request"]
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+    except (OSError, SafetensorError, LookupError, TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{path} holds no rollouts of recipes.choices: {error!r}.") from error
     asked = dataclasses.asdict(request)
     if made != asked:

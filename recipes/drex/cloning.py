@@ -16,6 +16,7 @@ from torchrl.objectives import BCLoss
 
 from envs.policy_env import contract, observation_size
 from recipes.training.checkpoint import Checkpoints, Counters
+from recipes.training.diverged import refuse_diverged
 from recipes.training.task import make_preference_space
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.modules import make_actor
@@ -85,7 +86,13 @@ def _clone(cfg: DictConfig, policy: TensorDictSequential, demonstrations: Tensor
             progress.update()
             if update % 250 == 0 or update == cfg.cloning.updates:
                 with torch.no_grad():
-                    check = loss(test)["loss_bc"].item()
+                    checked = loss(test)["loss_bc"]
+                refuse_diverged(
+                    {"loss_bc": checked},
+                    f"in update {update:,} of the cloning",
+                    f"lower cloning.lr, {cfg.cloning.lr:g}, or look for NaN in the demonstrations",
+                )
+                check = checked.item()
                 progress.set_postfix(train=f"{value.item():.4f}", held_out=f"{check:.4f}")
                 waited += 1
                 if check < best:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from envs.policy_env import observation_size, observed
 from recipes.training.checkpoint import Checkpoints, Counters, GeneratorStates
+from recipes.training.diverged import refuse_diverged
 from torchrl_morl.data import RankedSnippets
 from torchrl_morl.deploy import save_reward_model
 from torchrl_morl.deploy.features import PARTS, observation_parts
@@ -180,7 +181,12 @@ def train_reward_model(
             value.backward()
             optimizer.step()
             progress.update()
-            if update % 100 == 0:
+            if update % 100 == 0 or update == section.updates:
+                refuse_diverged(
+                    {"loss_bradley_terry": value},
+                    f"in update {update:,} of the reward model",
+                    f"lower reward_model.lr, {section.lr:g}, or look for NaN in the demonstrations",
+                )
                 progress.set_postfix(accuracy=f"{out['accuracy'].item():.2f}")
             count.updates = update
             if kept is not None and update % CHECKPOINT_INTERVAL == 0:

@@ -63,7 +63,14 @@ def read_run(folder: Path, choice: Choice = "last") -> Run:
         try:
             card = json.loads(file.read_text(encoding="utf-8"))["card"]
             cards[int(file.parent.name)] = (float(card["score"]), metrics_of(card))
-        except (ValueError, KeyError, TypeError, AttributeError, OSError) as error:
+        except (
+            ValueError,
+            LookupError,
+            TypeError,
+            AttributeError,
+            OSError,
+            RecursionError,
+        ) as error:
             raise ValueError(f"{file} is no card of a training: {error!r}") from error
     if not cards:
         raise ValueError(f"{folder} holds no policy: the training has not been evaluated yet.")
@@ -96,7 +103,7 @@ def _setting(folder: Path) -> tuple[str, ...]:
     file = folder / ".hydra" / "overrides.yaml"
     try:
         overrides = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise ValueError(f"{file} cannot be read: {str(error).splitlines()[0]}") from error
     if not isinstance(overrides, list) or not all(isinstance(one, str) for one in overrides):
         raise ValueError(f"{file} is no list of overrides.")

@@ -31,6 +31,12 @@ from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.envs import Transform, TransformedEnv
 
+_UNFIT = (
+    *(CheckpointError, OSError, RuntimeError, ValueError, LookupError, TypeError),
+    *(AttributeError, ArithmeticError, AssertionError),
+)
+"""What loading raises for files that somebody else has made, which may say anything."""
+
 
 class SafeStateAdapter(CheckpointAdapter):
     """State dicts as safetensors and JSON, whatever is nested in them; nothing else is ever read.
@@ -74,7 +80,7 @@ class SafeStateAdapter(CheckpointAdapter):
             tensors = load_file(file)
             file = path / self._SCHEMA
             state = _decode(json.loads(file.read_text()), tensors)
-        except (SafetensorError, ValueError, LookupError, TypeError, RecursionError) as error:
+        except (SafetensorError, *_UNFIT) as error:
             raise ValueError(f"{file} holds no state: {error}.") from error
         component.load_state_dict(state, *args, **kwargs)
 
@@ -224,10 +230,17 @@ class Counters:
             ValueError: unless they are the same numbers: one that is missing would stand at its start.
         """
         if state.keys() != vars(self).keys() or not all(
-            isinstance(value, int | float) for value in state.values()
+            _counts_as(now, state[name]) for name, now in vars(self).items()
         ):
             raise ValueError(f"it must say {', '.join(vars(self))}, it says {state}.")
         self.__dict__.update(state)
+
+
+def _counts_as(now: float, saved: Any) -> bool:
+    """Whether a saved number can take the place of one: a count is whole, and not below zero."""
+    if isinstance(now, float):
+        return isinstance(saved, int | float)
+    return isinstance(saved, int) and not isinstance(saved, bool) and saved >= 0
 
 
 class GeneratorStates:
@@ -278,7 +291,7 @@ class Checkpoints:
         # What a killed process was writing.
         for unfinished in self.folder.glob(".*"):
             shutil.rmtree(unfinished, ignore_errors=True)
-        latest = self.rotation.latest()
+        latest = self._latest()
         if latest is None:
             # TorchRL passes over what it cannot read: the training would begin anew, in this folder.
             if unreadable := sorted(self.folder.glob("checkpoint-*")):
@@ -288,12 +301,30 @@ class Checkpoints:
             return False
         try:
             self.checkpoint.load(latest)
-        except (CheckpointError, RuntimeError, ValueError, KeyError, TypeError, OSError) as error:
+        except _UNFIT as error:
             raise ValueError(
-                f"{latest} does not fit this training: {str(error).splitlines()[0]} Resume with the "
+                f"{latest} does not fit this training: {_first_line(error)} Resume with the "
                 "configuration and the versions that wrote it, or start anew in another folder."
             ) from error
         return True
+
+    def _latest(self) -> Path | None:
+        """The last one that can be read. It is a folder: how large an archive is inside, nobody knows."""
+        try:
+            latest = self.rotation.latest()
+        except _UNFIT as error:  # a name or a manifest that TorchRL does not expect
+            raise ValueError(
+                f"{self.folder} holds what is no checkpoint ({_first_line(error)}): remove it to begin "
+                "anew."
+            ) from error
+        if latest is not None and not latest.is_dir():
+            raise ValueError(f"{latest} is no folder, as checkpoints are: remove it.")
+        return latest
+
+
+def _first_line(error: BaseException) -> str:
+    """What it says, in one line, whatever it is."""
+    return next(iter(str(error).splitlines()), type(error).__name__)
 
 
 def check_frames_left(cfg: DictConfig, frames: int) -> None:

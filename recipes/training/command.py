@@ -34,6 +34,7 @@ from pydantic import BaseModel
 
 from . import quiet, run_folder, stopping
 from .command_help import help_text
+from .foreign import refuse_foreign
 from .overrides import importing, jobs, prepared, resumed
 from .stopping import Stopped, stop_requested, undisturbed, until_stopped
 from .user_errors import error_line
@@ -262,6 +263,11 @@ class _Command:
             raise ConfigurationError(
                 f"resume={resumed} goes on in its own folder: leave out hydra.run.dir."
             )
+        if resumed is not None:
+            try:
+                refuse_foreign(Path(resumed))
+            except ValueError as error:
+                raise ConfigurationError(f"resume={resumed}: {error}") from error
         folder = Path(cfg.hydra.sweep.dir if multirun else cfg.hydra.run.dir)
         if folder not in _new_runs.values():
             self.was_there = folder.exists()

@@ -103,6 +103,15 @@ def _in_float32(value: float) -> float:
     return value
 
 
+def _zero_or_in_float32(value: float) -> float:
+    """The same of a number that may be zero, or negative."""
+    if value and not 1.2e-38 <= abs(value) <= 3.4e38:
+        raise ValueError(
+            f"must be 0 or a number that float32 holds, 1.2e-38 to 3.4e+38, got {value!r}."
+        )
+    return value
+
+
 def _ascending(value: list[float]) -> list[float]:
     if value[0] > value[1]:
         raise ValueError(f"must be a pair in ascending order, got {value!r}.")
@@ -141,8 +150,8 @@ ValidationSeed = Annotated[int, Field(ge=VALIDATION_SEEDS.start, le=VALIDATION_S
 """Its scenes are neither those of trainings nor those of results."""
 
 Positive = Annotated[float, Field(gt=0), AfterValidator(_in_float32)]
-NotNegative = Annotated[float, Field(ge=0)]
-NotPositive = Annotated[float, Field(le=0)]
+NotNegative = Annotated[float, Field(ge=0), AfterValidator(_zero_or_in_float32)]
+NotPositive = Annotated[float, Field(le=0), AfterValidator(_zero_or_in_float32)]
 
 Share = Annotated[float, Field(ge=0, le=1)]
 """From nothing to all."""

@@ -18,6 +18,7 @@ from torchrl.data import TensorDictReplayBuffer
 from . import command, logs
 from .checkpoint import BufferState, Checkpoints, Counters, check_frames_left
 from .collection import collecting, make_collector
+from .diverged import refuse_diverged
 from .evaluation import Evaluation, Problem, Result
 from .replay import TRANSITION
 from .run_folder import write_run_info
@@ -101,6 +102,11 @@ def train(
                     metrics |= {name: value.detach() for name, value in info.items()}
                 for scheduler in schedulers.values():
                     scheduler.step()
+                refuse_diverged(
+                    metrics,
+                    f"in the updates before step {frames:,}",
+                    f"lower optim.lr, {cfg.optim.lr:g}, or what scales rewards and losses",
+                )
                 if after_updates is not None:
                     after_updates(frames)
 

@@ -23,6 +23,7 @@ from torchrl_morl.objectives import MultiObjectiveGAE
 from . import command, logs, ppo
 from .checkpoint import Checkpoints, Counters, check_frames_left
 from .collection import collecting, make_collector
+from .diverged import refuse_diverged
 from .evaluation import Evaluation, Problem
 from .gradients import use_bfloat16
 from .optimizers import step
@@ -144,6 +145,12 @@ def train(
                             step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
                             averaged.update_parameters(actor)
                     metrics |= losses
+            refuse_diverged(
+                metrics,
+                f"in the updates before step {frames:,}",
+                f"lower optim.lr, {cfg.optim.lr:g}, or optim.critic_lr, {cfg.optim.critic_lr:g}, or what "
+                "scales rewards and losses",
+            )
             if trains_actor:
                 schedule.step()
             if sigma is not None:

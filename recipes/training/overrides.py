@@ -16,6 +16,8 @@ from .validation import ConfigurationError, leaves, unknown_field
 
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
 _OVERRIDE = re.compile(r"(?P<sign>\+\+|\+|~|)(?P<key>[^=]*)=(?P<value>.*)", re.DOTALL)
+# A hundred overrides take 5 kB.
+_MOST_BYTES = 1_000_000
 
 
 def prepared(
@@ -106,9 +108,15 @@ def resumed(overrides: Sequence[str], schema: type[BaseModel], folder: Path) -> 
     file = run / ".hydra" / "overrides.yaml"
     if not file.is_file():  # said by the check of the field
         return list(overrides)
+    if file.stat().st_size > _MOST_BYTES:
+        raise ConfigurationError(
+            f"{file} has more than {_MOST_BYTES:,} bytes: it is no list of overrides."
+        )
     try:
         kept = yaml.safe_load(file.read_text())
-    except (yaml.YAMLError, OSError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise ConfigurationError(f"{file} cannot be read: it is nested too deeply.") from None
+    except (yaml.YAMLError, OSError, ValueError) as error:  # a date that does not exist, no UTF-8
         raise ConfigurationError(f"{file} cannot be read: {str(error).splitlines()[0]}") from error
     if not isinstance(kept, list) or not all(isinstance(one, str) for one in kept):
         raise ConfigurationError(f"{file} is no list of overrides: the run cannot go on.")

@@ -7,6 +7,7 @@ import fcntl
 import importlib.metadata
 import itertools
 import json
+import math
 import os
 import platform
 import shutil
@@ -154,7 +155,7 @@ def is_over(run_dir: Path) -> bool:
     saved = [
         int(path.name.rpartition("-")[2])
         for path in (run_dir / "checkpoints").glob("checkpoint-*")
-        if path.name.rpartition("-")[2].isdigit()
+        if path.name.rpartition("-")[2].isdecimal()
     ]
     if not saved or not config.is_file():
         return False
@@ -181,7 +182,7 @@ def write_run_info(run_dir: Path) -> None:
             info = json.loads(path.read_text())
             resumed = info.setdefault("resumed", [])
             count = len(resumed)
-        except (ValueError, AttributeError, TypeError) as error:
+        except (ValueError, AttributeError, TypeError, RecursionError) as error:
             raise ValueError(f"{path} was not written by a run: {error}") from error
         resumed.append(_start(run_dir, f"uncommitted_{count + 2}.diff"))
     else:
@@ -226,9 +227,13 @@ def score(policy: Path) -> float:
     """
     file = policy / "policy.json"
     try:
-        return float(json.loads(file.read_text(encoding="utf-8"))["card"]["score"])
+        value = float(json.loads(file.read_text(encoding="utf-8"))["card"]["score"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         raise ValueError(f"{file} does not say the score of the policy: {error}.") from error
+    # Neither is JSON, and NaN is neither the best nor not.
+    if not math.isfinite(value):
+        raise ValueError(f"{file} does not say the score of the policy: it says {value}.")
+    return value
 
 
 def final_policy(run_dir: Path) -> Path:

@@ -185,7 +185,7 @@ def test_the_scenes_that_come_with_the_project_pass(name, radius):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("mine", -1, len), "Scene 'mine': num_boxes must be a whole number, 0 or more, got -1"),
+        (("mine", -1, len), "Scene 'mine': num_boxes must be at least 0, got -1"),
         (("mine", 2.0, len), "num_boxes must be a whole number"),
         (("mine", True, len), "num_boxes must be a whole number"),
         (("mine", 1, None), "sample must be a function, got None"),

@@ -72,6 +72,37 @@ MISTAKES: list[tuple[Callable[[], object], str]] = [
         ),
         "loss_function must be one of ('l1', 'l2', 'smooth_l1'), got 'huberx'",
     ),
+    (lambda: RewardModel(in_features=4, num_members=10**9), "num_members must be at most 10,000"),
+    (lambda: RewardModel(in_features=4, device="tpu"), "device must be one that PyTorch"),
+    (lambda: make_actor(SPEC, in_features=6, device="cuda:7"), "device must be one that PyTorch"),
+    (
+        lambda: make_actor(SPEC, in_features=6, num_cells=(10**9,)),
+        "num_cells[0] makes a layer of 6",
+    ),
+    (
+        lambda: make_actor(SPEC, in_features=6, num_cells=(10**5, 10**5)),
+        "num_cells[1] makes a layer of 100000 x 100000 weights, at most 1,073,741,824 are allowed",
+    ),
+    (lambda: make_actor(SPEC, in_features=6, num_cells=7), "num_cells must be a list of whole num"),
+    (lambda: make_actor(SPEC, in_features=6, num_cells="64"), "num_cells must be a list of whole"),
+    (
+        lambda: make_vector_critic(10**9, in_features=6),
+        "num_objectives must be at most 10,000, got",
+    ),
+    (
+        lambda: PreferenceSampler(SPACE, seed="a"),
+        "seed must be a whole number, at least 0, got 'a'",
+    ),
+    (lambda: PreferenceSampler(SPACE, seed=-1), "seed must be at least 0, got -1"),
+    (
+        lambda: PreferenceRelabel(SPACE, seed=1.5),
+        "seed must be a whole number, at least 0, got 1.5",
+    ),
+    (
+        lambda: SPACE.lattice(10**9),
+        "divisions must give at most 10,000,000 preferences, got 1000000",
+    ),
+    (lambda: SPACE.pairwise_grid(10**9), "steps must be at most 10,000,000, got 1000000000"),
     (lambda: SPACE.validate(None), "preference is no array of numbers"),
     (lambda: SPACE.validate("ab"), "preference is no array of numbers"),
     (lambda: SPACE.validate([[1, 0], [1]]), "preference is no array of numbers"),

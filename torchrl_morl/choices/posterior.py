@@ -299,7 +299,7 @@ class PreferencePosterior:
         """
         try:
             return cls.from_state_dict(json.loads(Path(path).read_text()))
-        except ValueError as error:
+        except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"{path}: {error}") from error
 
     def _alternative(self, name: str, outcomes: Tensor | ArrayLike) -> tuple[float, ...]:

@@ -12,6 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 
+from torchrl_morl.arguments import check_seed
 from torchrl_morl.representation import describe
 
 __all__ = ["RankedSnippets"]
@@ -194,6 +195,7 @@ class RankedSnippets:
 
     def _reseed(self, seed: int | None) -> None:
         self.generator = torch.Generator(self._group.device)
+        check_seed(seed)
         self.generator.manual_seed(int(torch.randint(2**62, ())) if seed is None else seed)
 
     def _index(self, usable: Tensor) -> None:

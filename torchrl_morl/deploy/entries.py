@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import reprlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -22,7 +23,7 @@ def parse_json(text: bytes | str, where: str) -> Any:
         raise ValueError(f"{name} is no JSON number")
 
     try:
-        value = json.loads(text, parse_constant=refuse)
+        value = json.loads(text, parse_constant=refuse, object_pairs_hook=_once)
     except RecursionError:
         raise ValueError(f"{where} is not valid JSON: nested too deeply.") from None
     except ValueError as error:
@@ -38,6 +39,15 @@ def parse_json(text: bytes | str, where: str) -> Any:
         if not level:
             return value
     raise ValueError(f"{where} is not valid JSON: nested too deeply.")
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object whose entries have different names: of two, readers would take one or the other."""
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"{reprlib.repr(twice)} stands there twice")
+    return values
 
 
 class Entries(Mapping):

@@ -351,7 +351,7 @@ def _metadata(session: Any, file: str | Path) -> dict[str, Any]:
         )
     try:
         values = {name: json.loads(text) for name, text in found.items()}
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{file}: its metadata is not valid JSON: {_one_line(error)}.") from error
     for name in ("preference", "lidar", "sensing", "limits", "period"):
         if name not in values:

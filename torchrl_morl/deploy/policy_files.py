@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictSequential
 from tensordict.utils import NestedKey
 from torchrl.data import Bounded
 
+from torchrl_morl.arguments import check_device
 from torchrl_morl.modules import make_actor
 from torchrl_morl.preferences import PreferenceSpace
 
@@ -125,6 +126,7 @@ def load_policy(
         >>> policy.robot, policy.period, policy.sensing.max_range
         ('turtlebot2', 0.2, 4.0)
     """
+    check_device("device", device)
     config = read_config(folder, _KIND)
     where = str(paths(folder, _KIND)[1])
     names, static = config.texts("objectives"), config.object("static")
@@ -140,7 +142,7 @@ def load_policy(
             f"{paths(folder, _KIND)[0]} does not fit {_KIND}.json: it should have "
             f"{2 * (depth + 1) + 2} entries, for {depth} hidden layers, and has another number."
         )
-    actor = _build(network)
+    actor = _built(network)
     card = config.plain("card")
     if config["format"] > 1:
         sensing = None
@@ -211,6 +213,16 @@ def _network_of_format1(config: Entries) -> Entries:
         "out_key": "action",
     }
     return Entries(network, config.where)
+
+
+def _built(network: Entries) -> TensorDictSequential:
+    """The same of a file, which refusals name."""
+    try:
+        return _build(network)
+    except ValueError as error:
+        message = str(error)
+        named = message.startswith(network.where)
+        raise ValueError(message if named else f"{network.where}: {message}") from error
 
 
 def _build(network: Entries) -> TensorDictSequential:

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from torchrl_morl.arguments import check_device
 from torchrl_morl.modules import RewardModel
 
 from .entries import Entries
@@ -74,6 +75,7 @@ def load_reward_model(
         ValueError: if a file is broken, changed, of another format, or does not fit the other. In one
             line.
     """
+    check_device("device", device)
     config = read_config(folder, _KIND)
     if config["format"] > 1:
         network = config.object("network")
@@ -88,9 +90,19 @@ def load_reward_model(
             "layers, and has another number."
         )
     card = config.plain("card")
-    model = _build(network)
+    model = _built(network)
     read_weights(folder, _KIND, model, config)
     return model.requires_grad_(False).eval().to(device), card
+
+
+def _built(network: Entries) -> RewardModel:
+    """The same of a file, which refusals name."""
+    try:
+        return _build(network)
+    except ValueError as error:
+        message = str(error)
+        named = message.startswith(network.where)
+        raise ValueError(message if named else f"{network.where}: {message}") from error
 
 
 def _build(network: Entries) -> RewardModel:

@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.envs.utils import ExplorationType, exploration_type
 
+from torchrl_morl.arguments import check_seed
 from torchrl_morl.generators import generator_from, generator_state, rand
 from torchrl_morl.representation import describe
 
@@ -78,6 +79,7 @@ class HeldEGreedyModule(TensorDictModuleBase):
         self._held_steps = unravel_key((*group, "held_steps"))
         self.in_keys = [self.action_key]
         self.out_keys = [self.action_key, self._held_action, self._held_steps]
+        check_seed(seed)
         self.generator = None if seed is None else torch.Generator().manual_seed(seed)
 
     def __repr__(self) -> str:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torchrl.data import Bounded, Composite, TensorSpec
 from torchrl.modules import TanhModule
 
-from torchrl_morl.arguments import check_count, check_sizes, key_list
+from torchrl_morl.arguments import check_count, check_device, check_sizes, key_list
 from torchrl_morl.modules.inputs import NamedInputsMLP, resolve_in_features
 
 __all__ = ["make_actor", "make_vector_critic", "saturated_fraction"]
@@ -115,6 +115,7 @@ def make_actor(
     in_keys = key_list(in_keys)
     in_features = resolve_in_features(in_features, in_keys, observation_spec)
     check_sizes(in_features, num_cells)
+    check_device("device", device, holds_values=False)
     low, high = _action_bounds(action_spec, out_key)
     mlp = NamedInputsMLP(
         in_keys,
@@ -201,7 +202,8 @@ def make_vector_critic(
         in_features, in_keys, observation_spec, action_spec, action_key
     )
     check_sizes(in_features, num_cells)
-    check_count("num_objectives", num_objectives)
+    check_device("device", device, holds_values=False)
+    check_count("num_objectives", num_objectives, most=10_000)
     num_cells = list(num_cells)
     mlp = NamedInputsMLP(
         in_keys,

@@ -10,7 +10,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor, nn
 from torchrl.data import Composite, TensorSpec
 
-from torchrl_morl.arguments import check_count, check_sizes, key_list
+from torchrl_morl.arguments import check_count, check_device, check_sizes, key_list
 from torchrl_morl.modules.inputs import NamedInputsMLP, resolve_in_features
 from torchrl_morl.modules.networks import _ScaledLinear, keep_precision
 
@@ -83,12 +83,13 @@ class RewardModel(TensorDictModule):
         action_key: NestedKey = "action",
         device: torch.device | str | None = None,
     ) -> None:
-        check_count("num_members", num_members)
+        check_count("num_members", num_members, most=10_000)
         in_keys = key_list(in_keys)
         in_features = resolve_in_features(
             in_features, in_keys, observation_spec, action_spec, action_key
         )
         check_sizes(in_features, num_cells)
+        check_device("device", device, holds_values=False)
         members = []
         for _ in range(num_members):
             mlp = NamedInputsMLP(

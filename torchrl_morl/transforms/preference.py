@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite
 from torchrl.envs.transforms import Transform
 
-from torchrl_morl.arguments import check_count
+from torchrl_morl.arguments import check_count, check_seed
 from torchrl_morl.generators import generator_from, generator_state
 from torchrl_morl.preferences import (
     PreferenceSpace,
@@ -43,6 +43,7 @@ class _RandomPreferences(Transform):
         check_preference_space(preference_space)
         self.preference_space = preference_space
         self.distribution = distribution
+        check_seed(seed)
         self.generator = None if seed is None else torch.Generator().manual_seed(seed)
 
     def clone(self) -> Transform:

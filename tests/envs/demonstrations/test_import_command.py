@@ -150,7 +150,7 @@ def test_ctrl_c(tmp_path, refused, monkeypatch):
         ("--gap-tolerance", "0", "gap tolerance must be positive"),
         ("--robot", "turtlebot9", "turtlebot9"),
         ("--robots", "hsr", "unrecognized arguments"),
-        ("--boxes", "none.csv", "none.csv not found"),
+        ("--boxes", "none.csv", "none.csv does not exist"),
     ],
 )
 def test_wrong_options_are_one_line(tmp_path, refused, option, value, message):
@@ -160,7 +160,7 @@ def test_wrong_options_are_one_line(tmp_path, refused, option, value, message):
 
 def test_missing_and_binary_files_are_one_line(tmp_path, refused):
     output = ("--output", tmp_path / "a.safetensors")
-    assert "none.csv not found" in refused(tmp_path / "none.csv", *output)
+    assert "none.csv does not exist" in refused(tmp_path / "none.csv", *output)
     binary = tmp_path / "drives.csv"
     binary.write_bytes(bytes(range(256)))
     assert "drives.csv is not a text file" in refused(binary, *output)
@@ -200,7 +200,7 @@ def test_a_bag_from_the_command_line(tmp_path):
         ),
         (("--bag", "bag", "--stamps", "now"), "stamps must be 'header' or 'received', got 'now'"),
         (("--bag", "bag", "--human-topic", "/odom"), "must be different topics"),
-        (("--bag", "nowhere"), "nowhere not found"),
+        (("--bag", "nowhere"), "nowhere does not exist"),
         (("--bag", "bag", "--robot-topic", "/pose"), "topic /pose for the robot is not in"),
     ],
 )

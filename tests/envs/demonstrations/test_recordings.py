@@ -163,9 +163,9 @@ def test_names_are_unicode(write):
 
 
 def test_missing_files_and_other_types(write, tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"none\.csv not found"):
+    with pytest.raises(FileNotFoundError, match=r"none\.csv does not exist"):
         read_recordings(tmp_path / "none.csv")
-    with pytest.raises(FileNotFoundError, match=r"none\.csv not found"):
+    with pytest.raises(FileNotFoundError, match=r"none\.csv does not exist"):
         read_recordings(write(TEXT), tmp_path / "none.csv")
     with pytest.raises(FileNotFoundError, match="is a folder, not a file"):
         read_recordings(tmp_path)

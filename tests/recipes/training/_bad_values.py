@@ -96,6 +96,7 @@ TD3 = [
     ("collector.exploration_sigma", 0.01, "at most collector.exploration_sigma"),
     ("collector.final_exploration_sigma", math.inf, "not negative"),
     ("loss.policy_noise", -1, "not be negative"),
+    ("loss.policy_noise", 1e300, "float32"),
     ("loss.noise_clip", -1, "not be negative"),
     ("optim.policy_delay", 0, "at least 1"),
 ]
@@ -128,6 +129,10 @@ BAD = {
     "mo_ppo": [
         ("env.observe_motion", "yes", "true or false"),
         ("demonstrations.collision_reward", 500, "at most 0"),
+        ("demonstrations.collision_reward", -1e300, "float32"),
+        ("env.goal_radius", 1e-60, "float32"),
+        ("loss.anchor_coeff", 1e300, "float32"),
+        ("optim.lr", 1e39, "float32"),
         ("optim.cloning_speed", 1.5, "[0, 1]"),
         ("policy", "nowhere", "is a folder with policy.safetensors and policy.json"),
         ("policy", 3, "a folder"),
@@ -233,6 +238,8 @@ BAD = {
         ("reward_model.batch_size", 1, "at least 2"),
         ("reward_model.updates", 0, "at least 1"),
         ("reward_model.lr", 0, "positive"),
+        ("reward_model.lr", 1e39, "float32"),
+        ("reward_model.weight_decay", 1e300, "float32"),
         ("reward_model.weight_decay", -1, "not be negative"),
         ("reward_model.label_smoothing", 1, "in [0, 1)"),
         ("reward_model.held_out", 0, "in (0, 1)"),

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from omegaconf import OmegaConf
 
-from recipes.training.logs import log_metrics, make_logger, make_loggers
+from recipes.training.logs import announce, log_metrics, make_logger, make_loggers
 
 
 def config(backends: list[str], arguments: dict[str, Any]):
@@ -99,3 +99,16 @@ def test_arguments_win_over_what_is_chosen_here(run_dir, monkeypatch):
     assert given == {"exp_name": "my run", "tracking_uri": f"sqlite:///{run_dir}/mlflow.db"}
     make_logger("mlflow", run_dir, {"tracking_uri": "http://localhost:5000", "exp_name": "mine"})
     assert given == {"exp_name": "mine", "tracking_uri": "http://localhost:5000"}
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("backends", [["csv"], ["csv", "tensorboard"]])
+def test_a_training_says_where_to_watch_it_and_why_the_bar_stands(
+    compiled, backends, run_dir, capsys
+):
+    cfg = OmegaConf.merge(config(backends, {}), {"compute": {"compile": compiled}})
+    announce(cfg, run_dir)
+    said = capsys.readouterr().out
+    assert f"a picture at every evaluation: {run_dir / 'pictures'}" in said
+    assert (f"tensorboard --logdir '{run_dir}'" in said) == ("tensorboard" in backends)
+    assert ("compile their graphs, about a minute, in which the bar stands" in said) == compiled

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import pickle
 import struct
@@ -15,11 +16,9 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
-from tensordict import TensorDict
 from torchrl.data import Bounded
 
 from torchrl_morl import PreferenceSpace
-from torchrl_morl.data import load_demonstrations, save_demonstrations
 from torchrl_morl.deploy import (
     Sensing,
     load_policy,
@@ -45,13 +44,6 @@ def originals(tmp_path_factory) -> Path:
     )
     model = RewardModel(in_features=38, num_cells=(16, 8), num_members=2)
     save_reward_model(folder / "reward_model", model, card={"note": "mine"})
-    steps = TensorDict(
-        observation=torch.rand(2, 5, 3),
-        next=TensorDict(done=torch.zeros(2, 5, 1, dtype=torch.bool), batch_size=[2, 5]),
-        mask=torch.ones(2, 5, dtype=torch.bool),
-        batch_size=[2, 5],
-    )
-    save_demonstrations(folder / "demos.safetensors", steps, {"seed": 0})
     return folder
 
 
@@ -138,12 +130,45 @@ def fifo(folder: Path) -> None:
     os.mkfifo(config(folder))
 
 
+def pipe(which: Callable[[Path], Path]) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        which(folder).unlink()
+        os.mkfifo(which(folder))
+
+    return spoil
+
+
+def link_to_zero(which: Callable[[Path], Path]) -> Callable[[Path], None]:
+    def spoil(folder: Path) -> None:
+        which(folder).unlink()
+        which(folder).symlink_to("/dev/zero")
+
+    return spoil
+
+
+def again(entry: str) -> Callable[[Path], None]:
+    """An entry once more in front of the one that is there: one reader takes the first, another the last."""
+    name = entry.partition(":")[0] + ":"
+
+    def spoil(folder: Path) -> None:
+        content = config(folder).read_text()
+        assert name in content
+        config(folder).write_text(content.replace(name, f"{entry}, {name}", 1))
+
+    return spoil
+
+
 def text(data: bytes) -> Callable[[Path], None]:
     return lambda folder: config(folder).write_bytes(data)
 
 
 HUGE_TENSOR = json.dumps(
     {"x": {"dtype": "F32", "shape": [2**40], "data_offsets": [0, 2**42]}}
+).encode()
+
+NEGATIVE_TENSOR = b'{"x": {"dtype": "F32", "shape": [-1], "data_offsets": [0, 4]}}'
+OVERFLOWING_TENSOR = json.dumps(
+    {"x": {"dtype": "F32", "shape": [2**63, 2**63], "data_offsets": [0, 0]}}
 ).encode()
 
 REFUSED = {
@@ -175,6 +200,7 @@ REFUSED = {
     "layers as text": (put("network", num_cells="16"), "num_cells must be a list of integers"),
     "layers of floats": (put("network", num_cells=[16.0, 8.0]), "num_cells must be a list"),
     "layers of truth": (put("network", num_cells=[True, 8]), "num_cells must be a list"),
+    "a layer of 2**48 weights": (put("network", num_cells=[2**24, 2**24]), "json: .*num_cells"),
     "inputs of 10**9": (put("network", in_features=10**9), "in_features must be|reads"),
     "keys that are no list": (put("network", in_keys=7), "in_keys must be a list of keys"),
     "keys of numbers": (put("network", in_keys=[1, 2]), "in_keys must be"),
@@ -226,6 +252,20 @@ REFUSED = {
     "weights are a loop of links": (link_loop(weights), "safetensors not found"),
     "JSON is a loop of links": (link_loop(config), "json not found"),
     "JSON is a pipe": (fifo, "json not found"),
+    "weights are a pipe": (pipe(weights), "safetensors not found"),
+    "weights without an end": (link_to_zero(weights), "safetensors not found"),
+    "JSON without an end": (link_to_zero(config), "json not found"),
+    "an entry twice": (again('"format": 2'), "'format' stands there twice"),
+    "an entry of the network twice": (again('"num_cells": [8]'), "'num_cells' stands there twice"),
+    "minus infinity": (put(None, dtype=-math.inf), "-Infinity is no JSON"),
+    "a tensor of a negative size": (
+        header(len(NEGATIVE_TENSOR), NEGATIVE_TENSOR),
+        "not a safetensors file",
+    ),
+    "a tensor of more entries than there are numbers": (
+        header(len(OVERFLOWING_TENSOR), OVERFLOWING_TENSOR),
+        "not a safetensors file",
+    ),
     "JSON of 17 MiB": (text(b" " * (17 << 20)), "larger than 16 MiB"),
 }
 
@@ -314,59 +354,13 @@ except ValueError as error:
     assert "refused:" in run.stdout and "does not fit" in run.stdout, run.stderr
 
 
-METADATA = {"format": "torchrl_morl.demonstrations/1", "metadata": "{}"}
-MASK = torch.ones(2, 5, dtype=torch.bool)
-DEMONSTRATIONS = {
-    "another batch": ({"mask": MASK, "x": torch.ones(3, 5)}, METADATA, "does not begin with"),
-    "fewer dimensions": ({"mask": MASK, "x": torch.ones(2)}, METADATA, "does not begin with"),
-    "nothing": ({"mask": MASK[:0], "x": torch.ones(0, 5)}, METADATA, "holds nothing"),
-    "mask of numbers": ({"mask": MASK.float()}, METADATA, "no boolean 'mask'"),
-    "mask of no dimension": ({"mask": torch.tensor(True)}, METADATA, "no boolean 'mask'"),
-    "complex": ({"mask": MASK, "x": torch.ones(2, 5, dtype=torch.complex64)}, METADATA, "is C64"),
-    "float16": ({"mask": MASK, "x": torch.ones(2, 5).half()}, METADATA, "is F16"),
-    "an empty key": ({"mask": MASK, "a//b": torch.ones(2, 5)}, METADATA, "no key of a tensordict"),
-    "a key below a leaf": (
-        {"mask": MASK, "a": torch.ones(2, 5), "a/b": torch.ones(2, 5)},
-        METADATA,
-        "no key of a tensordict",
-    ),
-    "keys as deep as memory": (
-        {"mask": MASK, "a/" * 50_000 + "b": torch.ones(2, 5)},
-        METADATA,
-        "no key of a tensordict",
-    ),
-    "a key of two lines": ({"mask": MASK, "a\nb": torch.ones(2, 5)}, METADATA, "no key of a"),
-    "metadata missing": ({"mask": MASK}, {"format": METADATA["format"]}, "not valid JSON"),
-    "metadata broken": ({"mask": MASK}, METADATA | {"metadata": "{"}, "not valid JSON"),
-    "metadata as list": ({"mask": MASK}, METADATA | {"metadata": "[]"}, "are no JSON object"),
-    "metadata nested": ({"mask": MASK}, METADATA | {"metadata": "[" * 200_000}, "not valid JSON"),
-    "another format": ({"mask": MASK}, METADATA | {"format": "x" * 10_000}, "has format"),
-    "no metadata at all": ({"mask": MASK}, None, "has format None"),
-}
-
-
-@pytest.mark.parametrize("name", DEMONSTRATIONS)
-def test_demonstrations_are_refused_in_one_line(tmp_path, name):
-    tensors, metadata, message = DEMONSTRATIONS[name]
-    path = tmp_path / "demos.safetensors"
-    save_file(tensors, path, metadata)
-    with pytest.raises(ValueError, match=message) as error:
-        load_demonstrations(path)
-    assert len(str(error.value).splitlines()) == 1 and len(str(error.value)) < 600
-
-
-def test_a_truth_that_is_neither_true_nor_false(originals, tmp_path):
-    data = bytearray((originals / "demos.safetensors").read_bytes())
-    (length,) = struct.unpack("<Q", data[:8])
-    start, _ = json.loads(data[8 : 8 + length])["mask"]["data_offsets"]
-    data[8 + length + start] = 2
-    path = tmp_path / "demos.safetensors"
-    path.write_bytes(data)
-    with pytest.raises(ValueError, match="'mask' holds values that are neither true nor false"):
-        load_demonstrations(path)
-
-
 def test_the_originals_load(originals):
     assert load_policy(originals / "policy").card == {"note": "mine"}
     assert load_reward_model(originals / "reward_model")[1] == {"note": "mine"}
-    assert load_demonstrations(originals / "demos.safetensors")[1] == {"seed": 0}
+
+
+@pytest.mark.parametrize("device", ["cuda:7", "tpu", "meta", 3.5])
+def test_a_device_that_is_not_there_is_said_before_anything_is_read(device, tmp_path):
+    for load in LOADERS.values():
+        with pytest.raises(ValueError, match="device must be one that"):
+            load(tmp_path / "nowhere", device=device)
