@@ -54,6 +54,7 @@ def fabricate(
         "demonstration_free": scene % 2,
         "min_human_distance": human,
         "min_surface_distance": human - CONTACT,
+        "human_exposure": 60 + scene + spread - 40 * distance,
         "min_clearance": 0.3 + 0.1 * scene + spread,
         "direct_distance": 8.3 + scene,
         "straight_time": 16 + 2 * scene,

@@ -129,20 +129,38 @@ def steering(evaluation: Evaluation) -> dict[str, float]:
     Over the preferences in which the objective is traded off, that is all but those of the edge
     where its weight is always zero.
     """
-    found = {}
     if evaluation.summary["ignores_preference"]:
-        return found
-    size, preferences = evaluation.edge_steps, evaluation.preferences
-    for entry, objective in enumerate(known(evaluation.objectives)):
-        values = np.moveaxis(evaluation.values(objective.metric), 1, 0)
-        means = np.array([_mean(one) for one in values])
-        rho = []
-        for start in range(0, len(preferences), size):
-            weight = preferences[start : start + size, entry]
-            if np.ptp(weight) > 0:
-                rho.append(steerability(torch.tensor(weight), torch.tensor(means[start:][:size])))
-        found[objective.name] = float(np.mean(rho))
-    return found
+        return {}
+    return {
+        objective.name: _rank_correlation(evaluation, objective.name, objective.metric)
+        for objective in known(evaluation.objectives)
+    }
+
+
+def exposure_steering(evaluation: Evaluation) -> float:
+    """Rank correlation of the weight on distance with what that objective charges for, ideally -1.
+
+    The smallest distance, which :func:`steering` takes, is another thing: between the demonstrated orbit
+    and a wider way lie those who cut its corners. They come nearer, for a shorter time. NaN for
+    who has no such weight, and for evaluations of before there was the column ``human_exposure``.
+    """
+    steers = not evaluation.summary["ignores_preference"] and "distance" in evaluation.objectives
+    if not steers or "human_exposure" not in evaluation.columns:
+        return math.nan
+    return _rank_correlation(evaluation, "distance", "human_exposure")
+
+
+def _rank_correlation(evaluation: Evaluation, objective: str, metric: str) -> float:
+    """Of a weight and the mean of a metric, mean of the edges on which the weight varies."""
+    size, entry = evaluation.edge_steps, list(evaluation.objectives).index(objective)
+    values = np.moveaxis(evaluation.values(metric), 1, 0)
+    means = np.array([_mean(one) for one in values])
+    rho = []
+    for start in range(0, len(means), size):
+        weight = evaluation.preferences[start : start + size, entry]
+        if np.ptp(weight) > 0:
+            rho.append(steerability(torch.tensor(weight), torch.tensor(means[start:][:size])))
+    return float(np.mean(rho))
 
 
 def goodness(evaluation: Evaluation) -> NDArray[np.float64]:

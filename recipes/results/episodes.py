@@ -14,6 +14,7 @@ from torchrl_morl.evaluation.shortest_path import shortest_path_length
 
 from ..evaluation.setting import GOAL_RADIUS
 from ..evaluation.sweep import Sweep
+from ..objectives import PERSONAL_SPACE
 
 OUTCOMES = ("success", "collision_human", "collision_obstacle", "timeout")
 
@@ -60,6 +61,7 @@ def episode_values(result: Sweep, *, scene: str, robot: str) -> TensorDict:
         "demonstration_free": result.demonstration["free"].expand(mask.shape[:2]),
         "min_human_distance": metrics["min_human_distance"],
         "min_surface_distance": evaluation.min_surface_distance(position, human, mask, **radii),
+        "human_exposure": evaluation.human_exposure(position, human, mask, period, PERSONAL_SPACE),
         "personal_space_compliance": evaluation.personal_space_compliance(position, human, mask),
         "space_violations": evaluation.space_violations(position, human, mask),
         "min_time_to_collision": evaluation.min_time_to_collision(

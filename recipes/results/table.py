@@ -18,6 +18,7 @@ from ..objectives import OBJECTIVES
 from . import paper
 from .comparison import (
     QUANTITIES,
+    exposure_steering,
     indicators,
     ratio_to_bound,
     steering,
@@ -65,13 +66,16 @@ def bounds_table(evaluations: dict[str, Evaluation]) -> str:
     steered = [objective for objective in OBJECTIVES.values() if objective.name in weighed]
     header = ["system", "time / straight line", "time / shortest way"]
     header += [f"rho of {one.name} (ideal {one.sign:+d})" for one in steered]
+    header += ["rho of distance and exposure (ideal -1)"] * ("distance" in weighed)
     header += ["hypervolume", "expected utility", "the same, best choice"]
     rows = []
     for name, evaluation in evaluations.items():
         rho, sweep = steering(evaluation), indicators(evaluation)
+        exposure = [exposure_steering(evaluation)] * ("distance" in weighed)
         numbers = [ratio_to_bound(evaluation, f"{kind}_time") for kind in ("straight", "shortest")]
         cells = [_number(value, 3) for value in numbers]
         cells += [_number(rho.get(one.name), 2, sign=True) for one in steered]
+        cells += [_number(value, 2, sign=True) for value in exposure]
         keys = ("hypervolume", "expected utility", "expected utility, best")
         rows.append([name, *cells, *(_number(sweep.get(key), 3) for key in keys)])
     return markdown(header, rows)

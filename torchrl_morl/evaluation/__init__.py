@@ -20,6 +20,7 @@ from .motion import cumulative_heading_change, mean_jerk, path_irregularity, sta
 from .overlay import draw_preference, preference_strip
 from .plots import PREFERENCE_COLORS, draw_paths, draw_scene
 from .proximity import (
+    human_exposure,
     min_clearance,
     min_human_distance,
     min_surface_distance,
@@ -48,6 +49,7 @@ __all__ = [
     "draw_scene",
     "episode_mask",
     "expected_utility",
+    "human_exposure",
     "hypervolume",
     "interquartile_mean",
     "mean_jerk",

@@ -15,6 +15,7 @@ from torchrl_morl.geometry import point_box_distance
 from .arrays import as_flags, as_points, check_lengths
 
 __all__ = [
+    "human_exposure",
     "min_clearance",
     "min_human_distance",
     "min_surface_distance",
@@ -75,6 +76,42 @@ def min_surface_distance(
     check_lengths(radius=radius, human_radius=human_radius)
     nearest = min_human_distance(position, human, mask)
     return (nearest - radius - human_radius).clamp_min(0.0)
+
+
+def human_exposure(
+    position: Tensor, human: Tensor, mask: Tensor, dt: float, threshold: float = 2.0
+) -> Tensor:
+    r"""How close a robot comes to a human and for how long, square metres times seconds.
+
+    :math:`\sum_t \max(0, d - |p_t - h_t|)^2 \Delta t` with the threshold :math:`d`: what the distance
+    objective of the paper (equation 3, https://arxiv.org/abs/2404.04857) charges for, up to its constant.
+    :func:`min_human_distance` counts the nearest moment alone: who cuts a corner may come nearer and
+    yet be exposed less.
+
+    Args:
+        position: ``[*B, T, 2]``, metres.
+        human: ``[*B, T, 2]``, metres.
+        mask: ``[*B, T]``.
+        dt: time between points, s.
+        threshold: distance between the centres from which on nothing counts, metres.
+
+    Returns:
+        ``[*B]``; NaN without points.
+
+    Examples:
+        >>> import torch
+        >>> position = torch.tensor([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
+        >>> human = torch.tensor([[2.0, 0.0]]).expand(3, 2)
+        >>> human_exposure(position, human, torch.ones(3).bool(), dt=0.5)
+        tensor(2.5000)
+    """
+    check_positive("dt", dt)
+    check_lengths(threshold=threshold)
+    position, human = as_points("position", position), as_points("human", human)
+    mask = as_flags(mask)
+    closeness = (threshold - (position - human).norm(dim=-1)).clamp_min(0.0).square()
+    exposure = closeness.masked_fill(~mask, 0.0).sum(-1) * dt
+    return exposure.masked_fill(~mask.any(-1), torch.nan)
 
 
 def personal_space_compliance(

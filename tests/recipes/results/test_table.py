@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 import sys
 
@@ -12,6 +13,7 @@ import scipy.stats
 from recipes.results import paper, table
 from recipes.results.comparison import (
     QUANTITIES,
+    exposure_steering,
     goodness,
     indicators,
     ratio_to_bound,
@@ -61,6 +63,15 @@ def test_a_system_without_preferences_has_its_only_numbers(evaluations):
     assert steering(evaluations["CORE"]) == indicators(evaluations["CORE"]) == {}
 
 
+def test_evaluations_of_before_exposure_have_none(evaluations):
+    older = dataclasses.replace(
+        evaluations["NH"],
+        columns={k: v for k, v in evaluations["NH"].columns.items() if k != "human_exposure"},
+    )
+    assert np.isnan(exposure_steering(older))
+    assert steering(older) == steering(evaluations["NH"])
+
+
 def test_training_seeds_one_by_one(evaluations):
     assert QUANTITIES["success"].per_seed(evaluations["OUR"]) == pytest.approx(
         [100 * (1 - 2 / (EPISODES / 2)), 100]
@@ -85,6 +96,8 @@ def test_steering_and_indicators(evaluations):
     assert steering(evaluations["NH"]) == pytest.approx(
         {"demo": -1, "distance": 1, "efficiency": -1}
     )
+    assert exposure_steering(evaluations["NH"]) == pytest.approx(-1)
+    assert np.isnan(exposure_steering(evaluations["CORE"]))
     values = goodness(evaluations["NH"])
     assert values.shape == (3 * STEPS, 3) and (values >= 0).all() and (values <= 1).all()
     # demo = 1: Frechet distances of 1.0 to 1.3 m out of 3.

@@ -14,6 +14,7 @@ import torch
 from torchrl_morl.evaluation import (
     cumulative_heading_change,
     discrete_frechet,
+    human_exposure,
     intervals,
     mean_jerk,
     min_clearance,
@@ -105,6 +106,7 @@ BOXES = torch.tensor([[1.0, 1.0, 0.3, 0.5, 0.2], [-2.0, 0.5, 1.0, 0.4, 0.4]], dt
 HUMAN = {
     "min_human_distance": min_human_distance,
     "min_surface_distance": partial(min_surface_distance, radius=0.1, human_radius=0.1),
+    "human_exposure": partial(human_exposure, dt=0.2),
     "personal_space_compliance": personal_space_compliance,
     "space_violations": space_violations,
     "min_time_to_collision": partial(min_time_to_collision, dt=0.2, radius=0.05, human_radius=0.05),

@@ -10,6 +10,7 @@ import torch
 
 from torchrl_morl.evaluation import (
     discrete_frechet,
+    human_exposure,
     mean_jerk,
     min_clearance,
     min_human_distance,
@@ -58,6 +59,11 @@ MISTAKES: list[tuple[Callable[[], object], str]] = [
     ),
     (lambda: personal_space_compliance(POSITION, HUMAN, MASK, math.nan), "threshold must be at le"),
     (lambda: space_violations(POSITION, HUMAN, MASK, -1), "threshold must be at least 0, got -1"),
+    (lambda: human_exposure(POSITION, HUMAN, MASK, 0), "dt must be positive and finite, got 0"),
+    (
+        lambda: human_exposure(POSITION, HUMAN, MASK, 0.2, -1),
+        "threshold must be at least 0, got -1",
+    ),
     (
         lambda: min_time_to_collision(POSITION, HUMAN, MASK, 0.0, 0.1, 0.3),
         "dt must be positive and finite, got 0.0",

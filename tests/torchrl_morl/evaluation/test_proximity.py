@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from torchrl_morl.evaluation import (
+    human_exposure,
     min_clearance,
     min_human_distance,
     min_surface_distance,
@@ -74,6 +75,36 @@ def test_every_visit_counts_once():
     assert personal_space_compliance(track(x), human, whole(human)).item() == pytest.approx(2 / 7)
     wider = space_violations(track(x), human, whole(human), threshold=1.5)
     assert wider == 1
+
+
+# --- exposure
+
+
+def test_exposure_of_a_straight_pass_is_its_integral():
+    # Through the human from 2 m before to 2 m behind at 1 m/s: twice the integral of x² from 0 to 2.
+    position = track(torch.linspace(-5, 5, 10_001, dtype=F64))
+    human = torch.zeros_like(position)
+    value = human_exposure(position, human, whole(position), dt=0.001)
+    assert value.item() == pytest.approx(2 * 8 / 3, rel=1e-5)
+    assert human_exposure(position, human, whole(position), 0.002).item() == pytest.approx(32 / 3)
+    nobody_near = human + torch.tensor([0.0, 2.0])
+    assert human_exposure(position, nobody_near, whole(position), 0.001) == 0
+
+
+def test_who_cuts_a_corner_comes_nearer_and_is_exposed_less():
+    # Up to 1 m before the human and round him, or past him at 0.9 m.
+    human = torch.zeros(1, 2, dtype=F64)
+    angle = torch.linspace(torch.pi, 0, 32, dtype=F64).unsqueeze(-1)
+    orbit = torch.cat((angle.cos(), angle.sin()), -1)
+    ahead = track(torch.linspace(-2, -1, 11, dtype=F64))
+    around = torch.cat((ahead, orbit, -ahead.flip(0)))
+    past = torch.stack((torch.arange(-20, 21) / 10, torch.full((41,), 0.9)), -1).to(F64)
+    assert min_human_distance(past, human, whole(past)) < min_human_distance(
+        around, human, whole(around)
+    )
+    assert human_exposure(past, human, whole(past), 0.2) < human_exposure(
+        around, human, whole(around), 0.2
+    )
 
 
 # --- time to collision
