@@ -53,6 +53,9 @@ def test_it_is_managed(loopback, robot):
     assert robot.run(lambda: robot.reason == "no goal", 10)
     robot.send_goal()
     assert robot.run(lambda: robot.velocity[0] > 0.2, 20)
+    # What cannot be done now does not touch a robot that drives.
+    assert not change(robot, Transition.TRANSITION_CONFIGURE)
+    assert robot.reason == "drive"
     assert change(robot, Transition.TRANSITION_DEACTIVATE)
     assert robot.run(lambda: robot.stands, 5)
     assert robot.reason == "inactive"
@@ -96,13 +99,36 @@ def test_a_parameter_that_makes_no_sense_is_a_line(robot, unconfigured, name, va
         assert robot.set_parameter(name, [0.2, 0.5, 0.3]).successful
 
 
-def test_a_parameter_of_another_type_ends_it(loopback):
-    node = NodeProcess(loopback / "type.log", publish_rate="20")
+def test_a_transition_out_of_order_is_refused_and_the_node_lives_on(robot, unconfigured):
+    # A lifecycle manager may ask for what has been done: `autostart` beside it, or a manager that restarts.
+    assert not change(robot, Transition.TRANSITION_ACTIVATE)
+    assert "a transition is refused: activate" in unconfigured.said()
+    assert "from state unconfigured" in unconfigured.said()
+    assert state(robot) == State.PRIMARY_STATE_UNCONFIGURED
+    assert unconfigured.process.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("parameter", "line"),
+    [
+        (
+            {"publish_rate": "20"},
+            "policy_node: error: Trying to set parameter 'publish_rate' to '20' of type 'INTEGER', "
+            "expecting type 'DOUBLE': publish_rate. Write every number with a point: 1.0, not 1.",
+        ),
+        (
+            {"robot": "[0.2, 1, 3.0, 6.28, 4.0, 0.0]"},
+            "Sequence should be of same type",
+        ),
+    ],
+)
+def test_a_parameter_of_another_type_ends_it(loopback, parameter, line):
+    node = NodeProcess(loopback / "type.log", **parameter)
     assert node.process.wait(STARTS) == 1
-    assert node.said() == (
-        "policy_node: error: Trying to set parameter 'publish_rate' to '20' of type 'INTEGER', "
-        "expecting type 'DOUBLE': publish_rate\n"
-    )
+    said = node.said().splitlines()[-1]
+    assert line in said
+    assert said.startswith("policy_node: error: ")
+    assert said.endswith(". Write every number with a point: 1.0, not 1.")
 
 
 def test_a_start_that_fails_ends_it(loopback):
