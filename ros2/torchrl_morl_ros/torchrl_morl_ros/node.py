@@ -306,7 +306,9 @@ class PolicyNode(LifecycleNode):
         values = {f"preference {name}": f"{weight:.3f}" for name, weight in weights}
         values |= {name: f"{age:.3f}" for name, age in ages.items()}
         values["others that publish cmd_vel"] = str(self._count_others())
-        name, hardware = f"{self.get_name()}: policy", driver.policy.robot
+        # Of several robots each one is told apart by its namespace.
+        name = f"{self.get_fully_qualified_name().lstrip('/')}: policy"
+        hardware = driver.policy.robot
         decision = driver.decision
         if not self._active:
             decision = Decision.stop(Fault("inactive", "the node is not active"))

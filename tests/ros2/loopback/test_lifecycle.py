@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import GetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from torchrl_morl_ros.node import PolicyNode
 
 from ._robot import POLICY, STARTS, NodeProcess, Robot
 
@@ -136,3 +143,24 @@ def test_a_start_that_fails_ends_it(loopback):
     assert node.process.wait(STARTS) == 1
     (said,) = node.said().splitlines()
     assert "not configured: /nowhere/policy.safetensors not found: a policy is a folder" in said
+
+
+def test_robots_of_two_namespaces_tell_who_they_are(loopback):
+    heard = []
+    listener = rclpy.create_node("listener")
+    listener.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda m: heard.append(m.status[0].name), 10
+    )
+    given = [Parameter("policy", value=str(POLICY)), Parameter("human_message", value="none")]
+    node = PolicyNode(namespace="robot1", parameter_overrides=given)
+    executor = SingleThreadedExecutor()
+    executor.add_node(listener)
+    executor.add_node(node)
+    node.trigger_configure()
+    end = time.monotonic() + 30
+    while "robot1/policy_node: policy" not in heard and time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.1)
+    node.trigger_cleanup()
+    for one in (node, listener):
+        one.destroy_node()
+    assert "robot1/policy_node: policy" in heard
