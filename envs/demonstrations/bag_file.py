@@ -12,6 +12,7 @@ import numpy as np
 from .bag_topics import BagTopics, Track, read_tracks
 from .boxes import BoxFile
 from .recordings import Recording, make_recording
+from .report import enough
 
 _SUFFIXES = (".mcap", ".db3", ".bag")
 _SAME_GOAL = 0.05
@@ -249,6 +250,6 @@ def _human_at(robot: Track, human: Track, gap: float) -> tuple[np.ndarray, str |
     if wait[worst] > gap + 1e-9:
         return seen, (
             f"no word of the human for {wait[worst]:.2f} s around {robot.time[worst]:.2f} s "
-            f"(point {worst}), at most {gap:g} s are bridged: --gap-tolerance"
+            f"(point {worst}), at most {gap:g} s are bridged: --gap-tolerance {enough(wait[worst])}"
         )
     return seen, None

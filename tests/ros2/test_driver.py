@@ -300,7 +300,32 @@ def test_two_clocks():
     made = told(driver(**NOBODY), 1_790_000_000.0)
     decision = made.step(12.0)
     assert decision.reason == "clock"
-    assert decision.detail.endswith("s later than now: two clocks")
+    assert "s later than now: two clocks" in decision.detail
+    assert "use_sim_time" in decision.detail
+
+
+def test_stamps_of_a_simulation_on_the_clock_of_the_wall():
+    made = told(driver(**NOBODY), 12.0)
+    decision = made.step(1_790_000_000.0)
+    assert decision.reason == "stale"
+    assert "two clocks" in decision.detail
+    assert "use_sim_time" in decision.detail
+
+
+@pytest.mark.parametrize("late", ["scan", "odom", "human"])
+def test_a_message_that_nobody_has_stamped(late):
+    made = told(driver(), 1_790_000_000.0)
+    give = {
+        "scan": lambda: made.inputs.take_scan(scan(0.0)),
+        "odom": lambda: made.inputs.take_odometry(odometry(0.0)),
+        "human": lambda: made.inputs.take_people(stamped(0.0, 3.0, 0.0)),
+    }
+    give[late]()
+    decision = made.step(1_790_000_000.1)
+    assert decision.reason == ("human lost" if late == "human" else "stale")
+    assert decision.detail == (
+        f"{late} has no stamp: whoever publishes it must fill in header.stamp"
+    )
 
 
 def test_a_simulation_that_begins_anew():

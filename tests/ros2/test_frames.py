@@ -67,6 +67,12 @@ def test_without_tf2_other_frames_are_named():
         frames().fixed(point(2.0, 0.0), "map", 10.0)
 
 
+def test_a_message_that_names_no_frame():
+    for lookup in (None, lambda target, source: transform(0.0, 0.0)):
+        with pytest.raises(LookupError, match=r"^it names no frame: fill in header.frame_id$"):
+            frames(lookup).fixed(point(2.0, 0.0), "", 10.0)
+
+
 def test_before_the_first_odometry():
     with pytest.raises(LookupError, match="there is no odometry yet"):
         Frames("base_link", "odom").fixed(point(2.0, 0.0), "base_link", 10.0)

@@ -19,7 +19,7 @@ import torchrl_morl
 
 FOLDER = Path(__file__).resolve().parents[2] / "ros2" / "torchrl_morl_ros"
 SOURCES = sorted(FOLDER.rglob("*.py"))
-WITH_ROS = {"node", "publishing", "transforms", "simulated_robot", "__main__"}
+WITH_ROS = {"node", "publishing", "transforms", "transitions", "simulated_robot", "__main__"}
 MODULES = {module.name for module in pkgutil.iter_modules(torchrl_morl_ros.__path__)}
 
 

@@ -12,6 +12,7 @@ TOPICS = {
     "odom": "odom",
     "human": "human",
     "goal": "goal_pose",
+    "preference": "preference",
     "cmd_vel": "cmd_vel",
 }
 

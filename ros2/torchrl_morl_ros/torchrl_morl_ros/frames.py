@@ -91,6 +91,8 @@ class Frames:
         """
         if not all(map(math.isfinite, (point.x, point.y, point.z))):
             raise ValueError(f"its position is not finite: {(point.x, point.y, point.z)}")
+        if not frame:
+            raise LookupError("it names no frame: fill in header.frame_id")
         if frame == self.odom:
             return point.x, point.y
         if frame == self.base:
@@ -98,6 +100,6 @@ class Frames:
         if self.lookup is None:
             raise LookupError(
                 f"it is in frame {frame!r}, and without tf2 only {self.odom!r} and {self.base!r} are "
-                "known: odom_frame_id, base_frame_id, or install tf2_ros"
+                "known: install tf2_ros (with use_tf), or set odom_frame_id or base_frame_id"
             )
         return transformed(self.lookup(self.odom, frame), point)

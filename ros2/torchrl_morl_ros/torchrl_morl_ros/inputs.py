@@ -14,6 +14,10 @@ from .frames import Frames, Lookup
 from .geometry import Pose, mounted, quaternion, rotate
 from .settings import Settings
 
+_YEARS = 1e8
+"""Seconds; what is older is stamped by a simulation, whose clock begins at 0."""
+_SAME_CLOCK = "give all nodes the same use_sim_time and synchronise their machines"
+
 
 class Fault(NamedTuple):
     """Why the robot must stand: a word for machines, and a line for people."""
@@ -179,9 +183,15 @@ class Inputs:
             return Fault(missing, f"nothing has come on topic '{name}'{hint}")
         age, allowed = now - self.stamps[name], self.timeouts[name]
         if age > allowed + 1e-9:
-            return Fault(old, f"{name} is {age:.2f} s old, {name}_timeout is {allowed:g} s")
+            detail = f"{name} is {age:.2f} s old, {name}_timeout is {allowed:g} s"
+            if not self.stamps[name]:
+                detail = f"{name} has no stamp: whoever publishes it must fill in header.stamp"
+            elif age > _YEARS:
+                detail += f": two clocks, {_SAME_CLOCK}"
+            return Fault(old, detail)
         if age < -self.period:
-            return Fault("clock", f"{name} is stamped {-age:.2f} s later than now: two clocks")
+            told = f"{name} is stamped {-age:.2f} s later than now: two clocks, {_SAME_CLOCK}"
+            return Fault("clock", told)
         return None
 
     def _mounted(self, frame: str) -> tuple[Pose, bool]:

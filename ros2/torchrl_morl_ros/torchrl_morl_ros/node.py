@@ -26,12 +26,14 @@ from torchrl_morl.deploy import load_policy
 
 from .driver import Decision, Driver
 from .inputs import Fault
-from .publishing import diagnostics, velocity
+from .publishing import WELL, diagnostics, velocity
 from .settings import Settings, descriptions
 from .transforms import has_tf2, listen
+from .transitions import refuse_impossible
 
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 _PREFERENCE = "Weights of the policy's tunable objectives; they sum to 1. May be set at any time."
+_POINT = "Write every number with a point: 1.0, not 1."
 
 
 class PolicyNode(LifecycleNode):
@@ -53,8 +55,9 @@ class PolicyNode(LifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._driver: Driver | None = None
         self._listener: Any = None
-        self._active = False
+        self._active, self._others = False, 0
         self._parts: list[tuple[Any, Any]] = []
+        refuse_impossible(self)
 
     # --- lifecycle -------------------------------------------------------------------------------
 
@@ -68,7 +71,7 @@ class PolicyNode(LifecycleNode):
             self._driver = Driver(policy, self._settings, self._preference(), lookup)
         except (ValueError, OSError) as error:
             self.get_logger().error(f"not configured: {error}")
-            self._driver = None
+            self._forget()
             return _FAILURE
         self._make_topics()
         space = policy.preference_space
@@ -262,7 +265,10 @@ class PolicyNode(LifecycleNode):
             return
         still = (self._steady.now().nanoseconds - self._moved) * 1e-9
         if still > self._settings.clock_timeout:
-            self._stand(Fault("clock", f"the ROS clock stands still for {still:.1f} s"))
+            why = "use_sim_time is true: does anybody publish /clock?"
+            if not self.get_parameter("use_sim_time").value:
+                why = "the machine was busy"
+            self._stand(Fault("clock", f"the ROS clock stands still for {still:.1f} s: {why}"))
 
     # --- out -------------------------------------------------------------------------------------
 
@@ -285,7 +291,11 @@ class PolicyNode(LifecycleNode):
         )
         if decision.reason != self._told:
             self._told = decision.reason
-            self.get_logger().info(f"{decision.reason}: {decision.detail}".rstrip(": "))
+            told = f"{decision.reason}: {decision.detail}".rstrip(": ")
+            if decision.reason in WELL:
+                self.get_logger().info(told)
+            else:
+                self.get_logger().warning(told)
             self._tell()
 
     def _tell(self) -> None:
@@ -295,12 +305,27 @@ class PolicyNode(LifecycleNode):
         ages = {f"age of {name} (s)": now - stamp for name, stamp in driver.inputs.stamps.items()}
         values = {f"preference {name}": f"{weight:.3f}" for name, weight in weights}
         values |= {name: f"{age:.3f}" for name, age in ages.items()}
-        name, hardware = f"{self.get_name()}: policy", driver.policy.robot
+        values["others that publish cmd_vel"] = str(self._count_others())
+        # Of several robots each one is told apart by its namespace.
+        name = f"{self.get_fully_qualified_name().lstrip('/')}: policy"
+        hardware = driver.policy.robot
         decision = driver.decision
         if not self._active:
             decision = Decision.stop(Fault("inactive", "the node is not active"))
         stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(diagnostics(name, hardware, decision, stamp, values))
+
+    def _count_others(self) -> int:
+        """Who else tells the base what to do; it is told when they come."""
+        topic = self._velocity.topic_name
+        others = max(0, self.count_publishers(topic) - 1)
+        if others > self._others:
+            self.get_logger().warning(
+                f"others publish {topic} as well ({others}): the base gets both their commands and "
+                "these. End them, or put a multiplexer between"
+            )
+        self._others = others
+        return others
 
 
 def main(args: list[str] | None = None) -> None:
@@ -310,7 +335,8 @@ def main(args: list[str] | None = None) -> None:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node, executor = PolicyNode(), SingleThreadedExecutor()
     except (ParameterException, RuntimeError) as error:  # of ROS: types, and what it cannot parse
-        sys.exit(f"policy_node: error: {error}".splitlines()[0])
+        line = f"policy_node: error: {error}".splitlines()[0]
+        sys.exit(f"{line}. {_POINT}" if "DOUBLE" in line or "same type" in line else line)
     executor.add_node(node)
     wanted = True
 
@@ -331,6 +357,9 @@ def main(args: list[str] | None = None) -> None:
         node.stop_now()
     except ExternalShutdownException:
         pass
+    except Exception:
+        node.stop_now()  # whatever it is: the robot does not drive on until its base notices
+        raise
     finally:
         executor.shutdown()
         node.destroy_node()

@@ -10,7 +10,7 @@ from geometry_msgs.msg import Twist, TwistStamped
 
 from .driver import Decision
 
-_WELL = ("drive", "goal reached", "no goal", "inactive")
+WELL = ("drive", "goal reached", "no goal", "inactive")
 """Reasons that need nobody's attention."""
 
 
@@ -38,7 +38,7 @@ def diagnostics(
     name: str, hardware: str, decision: Decision, stamp: Any, values: Mapping[str, str]
 ) -> DiagnosticArray:
     """What the node does and why, for ``/diagnostics``."""
-    level = DiagnosticStatus.OK if decision.reason in _WELL else DiagnosticStatus.ERROR
+    level = DiagnosticStatus.OK if decision.reason in WELL else DiagnosticStatus.ERROR
     text = decision.reason + (f": {decision.detail}" if decision.detail else "")
     told = {
         "reason": decision.reason,

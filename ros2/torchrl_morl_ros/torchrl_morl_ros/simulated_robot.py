@@ -215,7 +215,7 @@ def main(args: list[str] | None = None) -> None:
     rclpy.init(args=args)
     robot = SimulatedRobot()
     factor = robot.get_parameter("real_time_factor").value
-    due, steps, told = time.monotonic(), 0, 0
+    due, steps, told, stood = time.monotonic(), 0, 0, 0
     try:
         while rclpy.ok():
             due += robot.period / factor
@@ -224,10 +224,14 @@ def main(args: list[str] | None = None) -> None:
             robot.advance()
             steps += 1
             if robot.ended and robot.get_parameter("next_scene").value:
-                what = "goal reached" if robot.succeeded else "episode over"
-                robot.get_logger().info(f"{what} after {steps * robot.period:.1f} s, next scene")
+                if not stood:
+                    what = "goal reached" if robot.succeeded else "episode over"
+                    robot.get_logger().info(f"{what} after {steps * robot.period:.1f} s")
+                stood += 1
+                if stood < 20:  # for a second whoever drives it sees that it has arrived
+                    continue
                 robot.begin()
-                steps = told = 0
+                steps = told = stood = 0
             if steps >= 20:  # whoever comes later is told, too
                 if robot.listeners > told:
                     robot.send_goal()

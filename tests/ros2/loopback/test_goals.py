@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import TwistStamped
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 
@@ -150,10 +151,24 @@ def test_a_preference_that_is_set_with_what_is_refused_is_not_taken(robot):
     assert robot.told[-1][1]["preference demo"] == "0.000"
 
 
-def test_a_clock_that_stands_still(robot):
+def test_another_node_on_the_same_topic_is_told(robot, node):
+    begin(robot)
+    assert robot.told[-1][1]["others that publish cmd_vel"] == "0"
+    other = robot.create_publisher(TwistStamped, "cmd_vel", 1)
+    assert robot.run(lambda: robot.told[-1][1]["others that publish cmd_vel"] == "1", 20)
+    assert "others publish /cmd_vel as well (1): the base gets both their commands" in node.said()
+    robot.destroy_publisher(other)
+    assert robot.run(lambda: robot.told[-1][1]["others that publish cmd_vel"] == "0", 20)
+
+
+def test_a_clock_that_stands_still(robot, node):
     begin(robot)
     robot.rest(1.0)
     factor, robot.factor = robot.factor, 0.02  # a step every 2.5 s of the wall
     assert robot.run(lambda: robot.reason == "clock", 15), robot.told[-1]
+    assert "use_sim_time is true: does anybody publish /clock?" in robot.told[-1][1]["detail"]
+    # A stop that somebody has to look after is a warning.
+    (told,) = [one for one in node.said().splitlines() if "]: clock: " in one]
+    assert told.startswith("[WARN]")
     robot.factor = factor
     assert robot.run(lambda: robot.reason == "drive", 10), robot.told[-1]
