@@ -11,6 +11,7 @@ import { themeFor } from "./view/theme.js";
 import { Previews, serve } from "./view/worker.js";
 
 const PAUSE_AT_THE_END = 1.8; // seconds, before it starts again
+const NAMED = 4; // entries of a link that are not there
 const HOW_TO_DRIVE = "Press and hold where the robot should go, or use the arrow keys";
 const LEADS = {
   watch: "It drives to the flag by itself. Drag the dot and see how its way changes.",
@@ -25,6 +26,11 @@ const ENDINGS = {
   time: () => "Not there after a minute",
 };
 
+function missing(refused) {
+  const more = refused.length > NAMED ? ` and ${refused.length - NAMED} more` : "";
+  return `The link has something that is not here: ${refused.slice(0, NAMED).join(", ")}${more}`;
+}
+
 function start() {
   const contents = JSON.parse(byId("contents").textContent);
   const session = new Session(contents);
@@ -36,6 +42,11 @@ function start() {
   let ended = 0;
 
   const announce = (text) => (byId("status").textContent = text);
+  /** The sentence under the title; `warns` where something was refused. */
+  const lead = (text, warns = false) => {
+    byId("lead").classList.toggle("warns", warns);
+    return (byId("lead").textContent = text);
+  };
   const verdict = (text) => {
     byId("verdict").textContent = text ?? "";
     byId("verdict").hidden = !text;
@@ -106,25 +117,29 @@ function start() {
       document.body.classList.remove("invite");
       setMode("watch");
       const parts = wordsOf(session).map((word, entry) => `${word} ${Math.round(100 * preference[entry])} %`);
-      byId("lead").textContent = `It drives as you chose: ${parts.join(", ")}.`;
-      announce(byId("lead").textContent);
+      announce(lead(`It drives as you chose: ${parts.join(", ")}.`));
       byId("play").focus({ preventScroll: true });
       window.scrollTo({ top: 0 });
     },
   });
   let mode = "watch";
+  let recorded;
   /** Who does what: "watch" (it drives), "record" (you drive) or "choose". */
   const setMode = (name) => {
     const recording = mode === "record" || name === "record";
+    // Who comes back to drive does not begin with the same scenes again.
+    if (mode === "record" && session.sceneName === "empty") recorded = session.seed;
     mode = name;
     for (const id of Object.keys(LEADS)) byId(id).setAttribute("aria-pressed", id === mode);
-    byId("lead").textContent = LEADS[mode];
+    lead(LEADS[mode]);
     byId("hint").hidden = mode === "record";
+    // Time waits for the driver: nothing to pause.
+    byId("play").hidden = mode === "record";
     chooser.show(mode === "choose");
     if (recording) recorder.show(mode === "record");
     session.playing = true;
     showPlay();
-    if (mode === "record" && contents.scenes.empty) session.select("empty");
+    if (mode === "record" && contents.scenes.empty) session.select("empty", recorded);
     else session.restart();
     follow();
   };
@@ -149,7 +164,8 @@ function start() {
     choices: Boolean(contents.choices),
   };
   const open = () => {
-    const { state, refused } = decode(window.location.hash, known);
+    const { sceneName: scene, seed, policyName: policy } = session;
+    const { state, refused } = decode(window.location.hash, { ...known, present: { scene, seed, policy } });
     if (state.scene || state.seed !== undefined) {
       session.select(state.scene ?? session.sceneName, state.seed);
     }
@@ -160,7 +176,8 @@ function start() {
     session.restart();
     chooser.restore(state.answers ?? "");
     if (Boolean(state.choosing) !== (mode === "choose")) setMode(state.choosing ? "choose" : "watch");
-    if (refused.length) announce(`The link has something that is not here: ${refused.join(", ")}`);
+    lead(LEADS[mode]);
+    if (refused.length) announce(lead(missing(refused), true));
     follow();
   };
   window.addEventListener("hashchange", open);
@@ -287,7 +304,9 @@ function wire({ session, floor, hand, recorder, chooser, weights, follow, showPl
       if (chooser.key(event)) event.preventDefault();
       return;
     }
-    if (event.code === "Space" && !taken) play();
+    if (event.code === "Space" && !taken) {
+      if (!recorder.active) play();
+    }
     else if (event.code === "KeyR") again();
     else if (event.code === "KeyN") next();
     else if (/^[0-9]$/.test(event.key) && Number(event.key) <= session.preference.length) {

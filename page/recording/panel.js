@@ -57,7 +57,8 @@ export class Recorder {
   #list() {
     const { kept } = this.drives;
     byId("drives").replaceChildren(
-      ...kept.map(({ name, seconds, nearest, side }) => {
+      // The latest on top: the list may be longer than what is seen of it.
+      ...[...kept].reverse().map(({ name, seconds, nearest, side }) => {
         const row = document.createElement("li");
         const text = `${name}: ${seconds.toFixed(0)} s, ${nearest.toFixed(1)} m on the ${side}`;
         const remove = document.createElement("button");

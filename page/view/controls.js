@@ -111,6 +111,7 @@ export function showSetting(session) {
   byId("show-demonstration").disabled = !shown;
   byId("style-number").hidden = !shown || session.driver !== null;
   byId("policy").parentElement.hidden = session.driver !== null;
+  byId("show-previews").parentElement.hidden = session.driver !== null;
 }
 
 /** The numbers on the floor. */

@@ -26,7 +26,8 @@ export function dragOnFloor(floor, session, { hand, driving, onMoved, announce }
     }
     canvas.setPointerCapture(event.pointerId);
     event.preventDefault();
-    canvas.focus({ preventScroll: true });
+    // A frame around the floor is for keys.
+    canvas.focus({ preventScroll: true, focusVisible: false });
   });
   canvas.addEventListener("pointermove", (event) => {
     const [px, py] = place(event);
@@ -39,7 +40,7 @@ export function dragOnFloor(floor, session, { hand, driving, onMoved, announce }
       return;
     }
     const [x, y] = floor.metres(px, py);
-    session.move(held.name, x + held.offset[0], y + held.offset[1]);
+    session.move(held.name, ...floor.inside(held.name, [x + held.offset[0], y + held.offset[1]]));
     onMoved();
   });
   for (const end of ["pointerup", "pointercancel"]) {
@@ -77,7 +78,7 @@ export function dragOnFloor(floor, session, { hand, driving, onMoved, announce }
     else if (floor.selected && event.key in ARROWS) {
       const [dx, dy] = ARROWS[event.key].map((one) => one * (event.shiftKey ? 5 : 1) * STEP);
       const [x, y] = whereIs(session, floor.selected);
-      session.move(floor.selected, ...floor.metres(...floor.at([x + dx, y + dy])));
+      session.move(floor.selected, ...floor.inside(floor.selected, [x + dx, y + dy]));
       onMoved();
     } else return;
     event.preventDefault();

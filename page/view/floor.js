@@ -3,7 +3,7 @@ import { HUMAN_RADIUS } from "../simulation/episode.js";
 import { boxDistance } from "../simulation/geometry.js";
 import { DASHES, MARKS, css, mixture } from "./colors.js";
 import { circle, drawLine, trace } from "./shapes.js";
-import { drawBox, drawGoal, drawHuman, drawLidar, drawRing, drawRobot, drawTarget } from "./things.js";
+import { drawBox, drawGoal, drawHuman, drawLidar, drawRing, drawRobot, drawTarget, poleOf } from "./things.js";
 
 const MARGIN = { x: 1.0, y: 0.9 };
 const LEAST_HEIGHT = 5.4; // metres
@@ -45,7 +45,7 @@ export class Floor {
     const middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
     const size = [high[0] - low[0], Math.max(high[1] - low[1], LEAST_HEIGHT)];
     // The numbers lie above the scene, not on it.
-    this.top = this.width < 520 ? 44 : 56;
+    this.top = this.width < 520 ? 46 : 56;
     this.scale = Math.min(this.width / size[0], (this.height - this.top) / size[1]);
     this.middle = middle;
   }
@@ -67,6 +67,13 @@ export class Floor {
       this.middle[0] + (x - this.width / 2) / this.scale,
       this.middle[1] - (y - (this.height + this.top) / 2) / this.scale,
     ];
+  }
+
+  /** The nearest place in metres where a thing, as `move` names it, is seen, and below the numbers. */
+  inside(name, place) {
+    const [px, py] = this.at(place);
+    const above = name === "goal" ? poleOf(this) : 0.2 * this.scale;
+    return this.metres(px, Math.max(py, this.top + above));
   }
 
   /** The movable thing at a point in pixels, or null. */
@@ -102,7 +109,7 @@ export class Floor {
     }
     for (const ghost of session.ghosts) this.#trail(ghost, 0.3);
     this.#trail([...session.trail.slice(0, -4), { x: pose[0], y: pose[1] }], 1);
-    if (this.show.previews && !session.driver) this.#previews(previews, pose);
+    if (this.show.previews && !session.driver) this.#previews(previews, pose, human);
     drawHuman(this, human);
     drawRobot(this, pose);
     if (this.target) drawTarget(this);
@@ -143,13 +150,14 @@ export class Floor {
     }
   }
 
-  #previews({ ways, names, own }, pose) {
+  #previews(previews, pose, human) {
     const { theme } = this;
+    const { ways, names, own } = previews.ahead(this.session.episode.elapsed);
     if (own) {
       const color = css(mixture(this.session.preference, theme.corners));
-      drawLine(this, [pose, ...own.points.slice(2)], color, 9, [], 0.28);
+      drawLine(this, [pose, ...own.slice(2)], color, 9, [], 0.28);
     }
-    ways.forEach(({ points }, corner) => {
+    ways.forEach((points, corner) => {
       const color = css(theme.corners[corner]);
       const ahead = [pose, ...points.slice(2)];
       drawLine(this, ahead, theme.casing, 5, DASHES[corner % DASHES.length], 0.55);
@@ -159,7 +167,9 @@ export class Floor {
       const color = css(theme.corners[corner]);
       if (place) this.#mark(...this.at(place), MARKS[corner % MARKS.length], color);
     });
-    const taken = [[0, 0, this.width, this.top]];
+    const [x, y] = this.at(human);
+    const word = y + HUMAN_RADIUS * this.scale; // "person", see drawHuman
+    const taken = [[0, 0, this.width, this.top], [x - 22, word + 4, x + 22, word + 20]];
     const found = names.filter(Boolean);
     for (const [x, y] of found.map((place) => this.at(place))) {
       taken.push([x - 8, y - 8, x + 8, y + 8]);

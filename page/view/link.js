@@ -29,14 +29,14 @@ export function encode(state) {
 /**
  * What a text says, as far as it says something that there is; the rest is named in `refused`.
  *
- * `known` has `scenes`, name to { first_seed, scenes }, `policies`, name to the number of weights, and `choices`, whether
- * there are drives to choose from.
+ * `known` has `scenes`, name to { first_seed, scenes }, `policies`, name to the number of weights, `choices`, whether
+ * there are drives to choose from, and `present`, { scene, seed, policy }, which stay where the text names no others.
  */
 export function decode(text, known) {
   const state = { moved: {} };
   const refused = [];
   for (const [name, value] of new URLSearchParams(text.replace(/^#/, ""))) {
-    const refuse = () => refused.push(`${name}=${value.slice(0, 40)}`);
+    const refuse = () => refused.push(`${name}=${value}`.slice(0, 40));
     if (name === "scene" && Object.hasOwn(known.scenes, value)) state.scene = value;
     else if (name === "seed" && /^\d{1,9}$/.test(value)) state.seed = Number(value);
     else if (name === "policy" && Object.hasOwn(known.policies, value)) state.policy = value;
@@ -46,7 +46,7 @@ export function decode(text, known) {
     else if (name === "weights") {
       const weights = numbers(value);
       const total = weights?.reduce((sum, one) => sum + one, 0);
-      if (total > 0 && weights.every((one) => one >= 0)) {
+      if (total > 0 && Number.isFinite(total) && weights.every((one) => one >= 0)) {
         state.preference = weights.map((one) => one / total);
       } else refuse();
     } else if (/^(human|goal|box\d)$/.test(name)) {
@@ -56,13 +56,23 @@ export function decode(text, known) {
     } else refuse();
   }
   // What depends on another entry.
-  const scene = known.scenes[state.scene ?? Object.keys(known.scenes)[0]];
+  const { present } = known;
+  const scene = known.scenes[state.scene ?? present.scene];
   const last = scene.first_seed + scene.scenes.length - 1;
   if (state.seed !== undefined && (state.seed < scene.first_seed || state.seed > last)) {
     refused.push(`seed=${state.seed}`);
     delete state.seed;
   }
-  const weights = known.policies[state.policy ?? Object.keys(known.policies)[0]];
+  const stays = !state.scene || state.scene === present.scene;
+  const seed = state.seed ?? (stays ? present.seed : scene.first_seed);
+  const { boxes } = scene.scenes[seed - scene.first_seed];
+  for (const name of Object.keys(state.moved)) {
+    if (name.startsWith("box") && Number(name.slice(3)) >= boxes.length) {
+      refused.push(`${name}=${state.moved[name]}`);
+      delete state.moved[name];
+    }
+  }
+  const weights = known.policies[state.policy ?? present.policy];
   if (state.preference && state.preference.length !== weights) {
     refused.push("weights");
     delete state.preference;

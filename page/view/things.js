@@ -39,6 +39,11 @@ export function drawLidar(floor) {
   c.stroke();
 }
 
+/** Height of the flag, pixels. */
+export function poleOf({ scale }) {
+  return Math.max(0.62 * scale, 30);
+}
+
 export function drawGoal(floor, place) {
   const { context: c, theme, session } = floor;
   const [x, y] = floor.at(place);
@@ -51,7 +56,7 @@ export function drawGoal(floor, place) {
   c.setLineDash([4, 4]);
   c.stroke();
   c.setLineDash([]);
-  const pole = Math.max(0.62 * floor.scale, 30);
+  const pole = poleOf(floor);
   c.lineWidth = 2.5;
   trace(c, [[x, y], [x, y - pole]]);
   c.stroke();

@@ -43,7 +43,7 @@ export class Triangle {
     };
     box.addEventListener("pointerdown", (event) => {
       box.setPointerCapture(event.pointerId);
-      this.dot.focus({ preventScroll: true });
+      this.dot.focus({ preventScroll: true, focusVisible: false });
       box.addEventListener("pointermove", follow);
       follow(event);
     });

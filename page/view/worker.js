@@ -57,9 +57,14 @@ export class Previews {
     this.names = [];
     /** The same under the preference of the question, or null. */
     this.own = null;
+    /** Control steps of the episode at the question. */
+    this.from = 0;
     this.worker.onmessage = ({ data }) => {
       this.busy = false;
-      if (data.number >= this.valid) ({ ways: this.ways, names: this.names, own: this.own } = data);
+      if (data.number >= this.valid) {
+        ({ ways: this.ways, names: this.names, own: this.own } = data);
+        this.from = this.asked;
+      }
       if (this.waiting) this.ask(this.waiting);
     };
     this.valid = 0;
@@ -73,7 +78,23 @@ export class Previews {
     }
     this.waiting = null;
     this.busy = true;
+    this.asked = question.moment.elapsed;
     this.worker.postMessage({ ...question, number: ++this.number });
+  }
+
+  /**
+   * What still lies ahead after `elapsed` control steps of the episode, as `ways`, `names` and `own`, in points.
+   * A slow machine answers when the robot has gone on.
+   */
+  ahead(elapsed) {
+    const passed = Math.max(elapsed - this.from, 0);
+    return {
+      ways: this.ways.map(({ points }) => points.slice(passed)),
+      names: this.names.map((place, corner) =>
+        place && this.ways[corner].points.indexOf(place) > passed ? place : null,
+      ),
+      own: this.own && this.own.points.slice(passed),
+    };
   }
 
   /** What was asked before is of another scene. */

@@ -12,43 +12,13 @@ import pytest
 
 from envs.demonstrations import import_demonstrations
 
-from ._browser import SHOWCASE, drive
-
-
-def drag(page, start, end) -> None:
-    page.mouse.move(*start)
-    page.mouse.down()
-    page.mouse.move(*((a + b) / 2 for a, b in zip(start, end)))
-    page.mouse.move(*end)
-    page.mouse.up()
-
-
-def on_floor(page, x: float, y: float) -> list[float]:
-    """Where a place of the floor is in the window, pixels."""
-    code = """([x, y]) => {
-        const [px, py] = page.floor.at([x, y]);
-        const frame = page.floor.canvas.getBoundingClientRect();
-        return [px + frame.left, py + frame.top];
-    }"""
-    return page.evaluate(code, [x, y])
+from ._browser import SHOWCASE, corners, drag, drive, on_floor
 
 
 def copied(page) -> str:
     """The state, in the part of the link behind ``#``."""
     page.locator("#link").click()
     return page.evaluate("location.hash")
-
-
-def corners(page) -> list[tuple[float, float]]:
-    """Of the triangle in the window, pixels: demonstration, distance, efficiency."""
-    frame = page.locator("#triangle canvas").bounding_box()
-    bottom = frame["y"] + frame["height"] - 1
-    right = frame["x"] + frame["width"] - 1
-    return [
-        (frame["x"] + frame["width"] / 2, frame["y"] + 1),
-        (frame["x"] + 1, bottom),
-        (right, bottom),
-    ]
 
 
 def test_the_robot_answers_to_the_triangle(opened):
@@ -240,7 +210,9 @@ def test_what_is_recorded_is_imported(opened, tmp_path):
     download.value.save_as(file)
     drives, report = import_demonstrations(file)
     assert len(drives) == kept, str(report)
-    assert "on the right" in page.locator("#drives li").first.inner_text()
+    rows = page.locator("#drives li")
+    assert "on the right" in rows.last.inner_text()
+    assert rows.first.inner_text().startswith(f"drive {kept}:")  # the latest is seen first
 
 
 def test_time_waits_for_the_driver(opened):

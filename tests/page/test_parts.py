@@ -149,9 +149,10 @@ def test_mixtures_have_the_colours_of_figures(call):
 
 def test_a_link_comes_back_and_nonsense_is_named(call):
     known = {
-        "scenes": {"static": {"first_seed": 7, "scenes": [0] * 50}},
+        "scenes": {"static": {"first_seed": 7, "scenes": [{"boxes": [0, 0]}] * 50}},
         "policies": {"one": 3, "two": 2},
         "choices": True,
+        "present": {"scene": "static", "seed": 7, "policy": "one"},
     }
     state = {
         "scene": "static",
@@ -177,6 +178,10 @@ def test_a_link_comes_back_and_nonsense_is_named(call):
     assert call("decode", gaps, known)["refused"] == ["human=1,", "goal=,2", "weights=1,,1"]
     wrong = "#answers=13&view=moon"
     assert call("decode", wrong, known)["refused"] == ["answers=13", "view=moon"]
+    boxes = "#box1=1,1&box2=1,1"  # there are two
+    assert call("decode", boxes, known)["refused"] == ["box2=1,1"]
+    endless = "#weights=1e308,1e308,1e308"  # their sum is no number
+    assert call("decode", endless, known) == {"state": {"moved": {}}, "refused": [endless[1:]]}
     none = "#answers=12&view=choices"  # a page without drives to choose from
     refused = call("decode", none, {**known, "choices": False})["refused"]
     assert refused == ["answers=12", "view=choices"]
