@@ -33,6 +33,11 @@ MISTAKES = [
     ("parity", ["--policy", str(POLICIES / "moving_humans")], "the human's position alone"),
     ("parity", ["--policy", str(POLICIES / "our_nh")], "the human's position alone"),
     ("time_to_quality", ["train", "nobody"], "invalid choice: 'nobody'"),
+    ("mo_gymnasium", ["run", "--steps", "25000"], "--steps: must be a multiple of 10,000"),
+    ("mo_gymnasium", ["run", "--tasks", "hopper"], "invalid choice: 'hopper'"),
+    ("mo_gymnasium", ["run", "--algorithms", "td3"], "invalid choice: 'td3'"),
+    ("mo_gymnasium", ["run", "--preferences", "1"], "--preferences: must be a whole number from 2"),
+    ("mo_gymnasium", ["table", "nowhere"], "must be a folder, 'nowhere' does not exist"),
 ]
 
 
