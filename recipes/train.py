@@ -65,7 +65,9 @@ def make_parser() -> Parser:
         "--without-mo-ppo", action="store_true", help="PD-MORL alone, the paper's method"
     )
     learners.add_argument(
-        "--paper", action="store_true", help="the same with the paper's own settings; hours"
+        "--paper",
+        action="store_true",
+        help="the same with the paper's own settings; three quarters of an hour",
     )
     parser.add_argument(
         "--episodes", type=episodes, default=100, help="of the final evaluation (default: 100)"
