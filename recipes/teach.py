@@ -2,7 +2,7 @@
 
 Imports the drives, distils them into a reward model (D-REX), trains a policy that a preference makes
 more or less like them (MO-PPO), evaluates it in fresh scenes, and draws your drives beside its own. About
-twelve minutes of one core::
+ten minutes of one core::
 
     python -m recipes.teach examples/drives_right.csv
     python -m recipes.teach --resume runs/teach/2026-01-31_12-00-00    # one that was stopped
