@@ -342,6 +342,11 @@ class MOTD3Loss(PreferenceTD3Loss):
         """Target ``[*B, K]`` from the value estimator; edits the tensordict."""
         keys = self.tensor_keys
         reward = tensordict.get(("next", keys.reward))
+        if reward is None:
+            raise KeyError(
+                f"the batch has no {('next', keys.reward)}: give transitions, as of "
+                "env.rollout or a collector."
+            )
         if reward.shape != next_qvalue.shape:
             raise ValueError(
                 f"the reward has shape {tuple(reward.shape)}, the critic gives "

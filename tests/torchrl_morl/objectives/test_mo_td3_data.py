@@ -61,6 +61,12 @@ def test_the_spec_of_several_environments_is_that_of_one():
         assert torch.equal(several(batch.clone())["loss_qvalue"], expected)
 
 
+def test_a_batch_without_what_came_next_is_named():
+    data = rollout()
+    with pytest.raises(KeyError, match=r"the batch has no .*reward.*: give transitions"):
+        loss_for(data)(data.exclude("next"))
+
+
 # --- Several steps: MultiStepTransform writes `steps_to_next_obs` of shape [B].
 
 
