@@ -20,7 +20,12 @@ int main(int count, char** arguments) {
     // The fields of your driver's LaserScan.
     Runner runner(std::move(policy), {-pi, pi / 180, 360, 0.12, 3.5}, options);
     std::vector<double> preference;
-    for (int i = 2; i < count; ++i) preference.push_back(std::atof(arguments[i]));
+    for (int i = 2; i < count; ++i) {
+      char* end = nullptr;
+      preference.push_back(std::strtod(arguments[i], &end));
+      if (end == arguments[i] || *end != '\0')
+        throw std::invalid_argument("WEIGHT must be a number, got '" + std::string(arguments[i]) + "'");
+    }
     Pose robot{0.0, 0.0, 0.0};
     const double goal_x = 4.0, goal_y = 0.0, human_x = 2.0, human_y = 0.5, human_radius = 0.3;
     const auto seen = [&robot](double x, double y) {

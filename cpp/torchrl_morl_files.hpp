@@ -11,6 +11,7 @@
 #include <fstream>
 #include <locale>
 #include <map>
+#include <set>
 #include <sstream>
 #include <stdexcept>
 #include <string>
@@ -92,7 +93,7 @@ class Json {
   class Parser;
 
   const Json* find(const std::string& name) const {
-    for (std::size_t i = keys_.size(); i-- > 0;)  // of two the last one, as everywhere
+    for (std::size_t i = 0; i < keys_.size(); ++i)
       if (keys_[i] == name) return &items_[i];
     return nullptr;
   }
@@ -160,9 +161,13 @@ class Json::Parser {
       out.kind_ = Kind::object;
       ++place_;
       if (take('}')) return out;
+      std::set<std::string> seen;
       do {
         space();
         out.keys_.push_back(string());
+        // Of two, readers would take one or the other.
+        if (!seen.insert(out.keys_.back()).second)
+          throw broken(where_, "is not valid JSON: '" + out.keys_.back() + "' stands there twice");
         expect(':');
         out.items_.push_back(value(depth + 1));
       } while (take(','));
@@ -221,30 +226,30 @@ class Json::Parser {
     std::string out;
     for (++place_; peek() != '"'; ++place_) {
       if (static_cast<unsigned char>(peek()) < 0x20) throw wrong();  // also at the end of the text
-      out += peek() == '\\' ? escaped() : peek();
+      out += peek() == '\\' ? escaped() : std::string(1, peek());
     }
     ++place_;
     return out;
   }
-  char escaped() {
+  std::string escaped() {
     ++place_;
     switch (peek()) {
       case '"':
-        return '"';
+        return "\"";
       case '\\':
-        return '\\';
+        return "\\";
       case '/':
-        return '/';
+        return "/";
       case 'b':
-        return '\b';
+        return "\b";
       case 'f':
-        return '\f';
+        return "\f";
       case 'n':
-        return '\n';
+        return "\n";
       case 'r':
-        return '\r';
+        return "\r";
       case 't':
-        return '\t';
+        return "\t";
       case 'u':
         break;
       default:
@@ -257,7 +262,9 @@ class Json::Parser {
       const int c = std::tolower(static_cast<unsigned char>(peek()));
       code = code * 16 + static_cast<unsigned>(c <= '9' ? c - '0' : c - 'a' + 10);
     }
-    return code < 0x80 ? static_cast<char>(code) : '?';  // names that matter here are ASCII
+    if (code < 0x80) return std::string(1, static_cast<char>(code));
+    // As it stands there: names that matter here are ASCII, and others stay different.
+    return text_.substr(place_ - 5, 6);
   }
 
   const std::string& text_;

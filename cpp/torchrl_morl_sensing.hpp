@@ -65,6 +65,8 @@ struct Lidar {
     if (num_beams > 1000000) throw std::invalid_argument("lidar: num_beams must be at most 1000000");
     if (std::abs(first_angle) > 2 * pi + 1e-3 || std::abs(mount.heading) > 2 * pi + 1e-3)
       throw std::invalid_argument("lidar: first_angle and the mount's yaw must be within a revolution, in radians");
+    if (std::hypot(mount.x, mount.y) > 10)
+      throw std::invalid_argument("lidar: mount must be within 10 m of the rotation centre, in metres");
     if (!(0 <= range_min && range_min < range_max))
       throw std::invalid_argument("lidar: range_min must be between 0 and range_max, got " + shown(range_min));
   }

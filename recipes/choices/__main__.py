@@ -166,6 +166,8 @@ def resumed(folder: Path, drives_folder: Path) -> Dialogue:
     """
     try:
         setting = json.loads((folder / SETTING).read_text())
+        if not isinstance(setting["scene"], list):
+            raise TypeError(f"{SETTING}: scene must be a list, got {setting['scene']!r}")
         posterior = PreferencePosterior.load(folder / POSTERIOR)
         drives, radii = all_drives(setting, drives_folder)
         question_seed = int(setting["question_seed"])
@@ -182,6 +184,11 @@ def resumed(folder: Path, drives_folder: Path) -> Dialogue:
     if posterior.contexts != tuple(drives):
         raise ValueError(
             f"--resume {folder}: {POSTERIOR} is of {posterior.contexts}, {SETTING} of {tuple(drives)}."
+        )
+    tunable = next(iter(drives.values())).preference_space.tunable
+    if posterior.objectives != tunable:
+        raise ValueError(
+            f"--resume {folder}: {POSTERIOR} is of {posterior.objectives}, the policy of {tunable}."
         )
     return Dialogue(folder, drives, radii, posterior, question_seed)
 

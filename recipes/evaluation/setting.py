@@ -141,7 +141,7 @@ def scene_seed(text: str) -> int:
         return check_test_seed(int(text))
     except ValueError as error:
         allowed = f"must be a whole number from {TEST_SEEDS.start} to {TEST_SEEDS[-1]}"
-        reason = str(error) if text.isdigit() else f"{allowed}, got {text!r}"
+        reason = str(error) if text.isdecimal() else f"{allowed}, got {text!r}"
         raise argparse.ArgumentTypeError(reason) from error
 
 

@@ -10,7 +10,9 @@ import dataclasses
 import json
 import math
 import os
+import reprlib
 import shutil
+import zipfile
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -19,10 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_morl.deploy.entries import null_for_nan
+from torchrl_morl.deploy.entries import Entries, null_for_nan, one_line, parse_json
 
 EPISODES, SUMMARY, TRAJECTORIES = "episodes.csv", "summary.json", "trajectories.npz"
 TEXT_COLUMNS = ("system", "condition", "scene")
+MAY_BE_INFINITE = ("min_time_to_collision",)
+"""Of a robot that is never on course for a collision."""
 
 
 def write_evaluation(
@@ -126,8 +130,12 @@ class Evaluation:
     @cached_property
     def trajectories(self) -> dict[str, NDArray]:
         """See :func:`recipes.results.episodes.trajectory_arrays`."""
-        with np.load(self.folder / TRAJECTORIES, allow_pickle=False) as arrays:
-            return dict(arrays)
+        path = self.folder / TRAJECTORIES
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                return dict(arrays)
+        except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile) as error:
+            raise ValueError(f"{path} cannot be read: {one_line(error)}.") from error
 
 
 def read_evaluation(folder: Path) -> Evaluation:
@@ -140,17 +148,22 @@ def read_evaluation(folder: Path) -> Evaluation:
     for name in (EPISODES, SUMMARY):
         if not (folder / name).is_file():
             raise FileNotFoundError(f"{folder / name} not found: no evaluation.")
-    summary = json.loads((folder / SUMMARY).read_text())
-    with (folder / EPISODES).open(newline="") as file:
-        header, *rows = csv.reader(file)
+    summary = _read_summary(folder / SUMMARY)
+    header, rows = _read_table(folder / EPISODES)
     expected = len(summary["members"]) * summary["num_preferences"] * summary["episodes"]
     if len(rows) != expected:
         raise ValueError(f"{folder / EPISODES} has {len(rows)} rows, {SUMMARY} says {expected}.")
     columns = {
-        name: np.array([float(row[index] or "nan") for row in rows])
+        name: np.array(
+            [
+                _number(row[index], f"{folder / EPISODES}: line {line}: {name}", name)
+                for line, row in enumerate(rows, start=2)
+            ]
+        )
         for index, name in enumerate(header)
         if name not in TEXT_COLUMNS
     }
+    _check_order(folder / EPISODES, columns, summary)
     return Evaluation(folder, summary, columns)
 
 
@@ -179,6 +192,82 @@ def read_evaluations(directory: Path, condition: str) -> dict[str, Evaluation]:
                     "scenes."
                 )
     return found
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    """What tables and figures read of it has the type that they expect."""
+    summary = parse_json(path.read_bytes(), str(path))
+    if not isinstance(summary, dict):
+        raise ValueError(f"{path} must be an object, got {reprlib.repr(summary)}.")
+    entries = Entries(summary, str(path))
+    for name in ("system", "condition"):
+        entries.text(name)
+    for name, least in (("episodes", 1), ("num_preferences", 1), ("edge_steps", 2)):
+        entries.integer(name, least)
+    entries.integer("scene_seed", 0, 2**63)
+    entries.flag("ignores_preference")
+    entries.texts("objectives")
+    members = entries["members"]
+    if not isinstance(members, list) or not members:
+        raise entries.refused("members", "a list of trainings, at least one")
+    for index, member in enumerate(members):
+        if not isinstance(member, dict):
+            raise entries.refused("members", "a list of objects")
+        Entries(member, f"{path}: members[{index}]").integer("seed", 0, 2**63)
+    return summary
+
+
+def _read_table(path: Path) -> tuple[list[str], list[list[str]]]:
+    """Names of the columns, and rows of as many cells."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            lines = list(csv.reader(file))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path} holds no text: {one_line(error)}.") from error
+    if not lines:
+        raise ValueError(f"{path} is empty.")
+    header, *rows = lines
+    for name in header:
+        if header.count(name) > 1:
+            raise ValueError(f"{path} has the column {name!r} twice.")
+    for line, row in enumerate(rows, start=2):
+        if len(row) != len(header):
+            raise ValueError(f"{path}: line {line} has {len(row)} cells, must have {len(header)}.")
+    return header, rows
+
+
+def _number(text: str, where: str, column: str) -> float:
+    try:
+        value = float(text or "nan")
+    except ValueError:
+        value = None
+    if value is None or (math.isinf(value) and column not in MAY_BE_INFINITE):
+        raise ValueError(f"{where} must be a finite number, or empty, got {reprlib.repr(text)}.")
+    return value
+
+
+def _check_order(
+    path: Path, columns: Mapping[str, NDArray[np.float64]], summary: Mapping[str, Any]
+) -> None:
+    """Rows are told apart by their place alone: in another order they are other episodes."""
+    seeds = [member["seed"] for member in summary["members"]]
+    shape = (len(seeds), summary["num_preferences"], summary["episodes"])
+    member, preference, scene = (index.ravel() for index in np.indices(shape))
+    right = {
+        "seed": np.array(seeds, dtype=float)[member],
+        "preference_index": preference,
+        "scene_index": scene,
+    }
+    for name, values in right.items():
+        if name not in columns:
+            raise ValueError(f"{path} has no column {name!r}.")
+        wrong = np.flatnonzero(columns[name] != values)
+        if wrong.size:
+            row = wrong[0]
+            raise ValueError(
+                f"{path}: line {row + 2}: {name} must be {values[row]:g}, got "
+                f"{columns[name][row]:g}: keep the order in which rows were written."
+            )
 
 
 def _field(value: Any) -> Any:

@@ -180,7 +180,10 @@ def main() -> None:
         parser.error(str(error))
     text = "\n".join(parts)
     file = args.directory / "table.md"
-    file.write_text(text)
+    try:
+        file.write_text(text)
+    except OSError as error:
+        parser.error(f"{file} cannot be written: {error.strerror}.")
     print(f"{text}\nwritten to {file}")
 
 

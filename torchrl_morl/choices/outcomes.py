@@ -78,3 +78,19 @@ def as_outcomes(outcomes: Tensor | ArrayLike, num_objectives: int | None = None)
             f"{list(values.shape)}."
         )
     return values
+
+
+def finite_outcomes(outcomes: Tensor | ArrayLike, num_objectives: int) -> Tensor:
+    """The same, all finite: of one that is not, nothing can be said about any.
+
+    Raises:
+        ValueError: also for what is not finite.
+    """
+    values = as_outcomes(outcomes, num_objectives)
+    if not values.isfinite().all():
+        count = int((~values.isfinite()).sum())
+        raise ValueError(
+            f"outcomes must be finite, {count} of {values.numel()} are not: standardize(outcomes, valid) "
+            "replaces those of drives that failed."
+        )
+    return values

@@ -13,7 +13,8 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from torchrl_morl.arguments import check_count
+from torchrl_morl.arguments import check_count, check_seed, shown
+from torchrl_morl.deploy.entries import parse_json
 from torchrl_morl.preferences import PreferenceSpace
 
 from .grid import Grid
@@ -25,6 +26,8 @@ __all__ = ["PreferencePosterior"]
 FORMAT = 1
 LARGEST_GRID = 4
 """Objectives up to which sums over a grid are exact."""
+LARGEST_SAMPLE = 1_000_000
+"""Particles at most: they take 100 MB."""
 
 _DIVISIONS = {1: 1, 2: 50, 3: 25, 4: 12}
 
@@ -78,8 +81,9 @@ class PreferencePosterior:
         self.objectives = _names("objectives", objectives)
         self.contexts = _names("contexts", contexts)
         self.model = ChoiceModel() if model is None else model
-        check_count("particles", particles, 2)
+        check_count("particles", particles, 2, LARGEST_SAMPLE)
         check_count("seed", seed, 0)
+        check_seed(seed)
         size = len(self.objectives)
         self.exact = size <= LARGEST_GRID
         if not self.exact and len(self.contexts) > 1:
@@ -210,7 +214,15 @@ class PreferencePosterior:
             >>> bool(chances[0].isclose(chances[1]))
             True
         """
-        utilities = [torch.as_tensor(x).double() @ self.weights.T for x in (first, second)]
+        size = len(self.objectives)
+        alternatives = [_numbers("first", first), _numbers("second", second)]
+        for name, values in zip(("first", "second"), alternatives, strict=True):
+            if not values.ndim or values.shape[-1] != size:
+                raise ValueError(
+                    f"{name} must have shape [..., {size}] for {self.objectives}, got "
+                    f"{list(values.shape)}."
+                )
+        utilities = [values @ self.weights.T for values in alternatives]
         chances = self.model.probabilities(*utilities, self.rationality)
         return (chances * self.probability(context)[:, None]).sum(-2)
 
@@ -298,12 +310,12 @@ class PreferencePosterior:
             ValueError: if it is something else.
         """
         try:
-            return cls.from_state_dict(json.loads(Path(path).read_text()))
+            return cls.from_state_dict(parse_json(Path(path).read_bytes(), "it"))
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"{path}: {error}") from error
 
     def _alternative(self, name: str, outcomes: Tensor | ArrayLike) -> tuple[float, ...]:
-        values = torch.as_tensor(outcomes).double()
+        values = _numbers(name, outcomes)
         if values.shape != (len(self.objectives),):
             raise ValueError(
                 f"{name} must hold one outcome for each of {self.objectives}, got shape "
@@ -312,6 +324,13 @@ class PreferencePosterior:
         if not values.isfinite().all():
             raise ValueError(f"{name} must be finite, got {values.tolist()}.")
         return tuple(values.tolist())
+
+
+def _numbers(name: str, values: Tensor | ArrayLike) -> Tensor:
+    try:
+        return torch.as_tensor(values).double()
+    except (TypeError, RuntimeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{name} must hold numbers, got {shown(values)}.") from error
 
 
 def _names(what: str, names: Sequence[str]) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchrl_morl.arguments import check_count, is_number
 
-from .outcomes import as_outcomes
+from .outcomes import finite_outcomes
 from .posterior import PreferencePosterior
 from .recommendation import in_satisfaction
 
@@ -127,7 +127,7 @@ def value_of_information(
     """
     kept, share = _likely(posterior, context)
     # The satisfaction of a hypothesis is linear in mean outcomes: sums over hypotheses are taken first.
-    values = as_outcomes(outcomes, len(posterior.objectives))
+    values = finite_outcomes(outcomes, len(posterior.objectives))
     reached = in_satisfaction(posterior.weights[kept], values)
     parts = _chances(posterior, first, second, kept)
     return torch.cat([_gain(chances, share, *reached) for chances in parts])
@@ -183,7 +183,7 @@ def next_question(
     check_count("candidates", candidates)
     if not (is_number(typical) and 0 < typical <= 1):
         raise ValueError(f"typical must be above 0 and at most 1, got {typical!r}.")
-    values = as_outcomes(outcomes, len(posterior.objectives))
+    values = finite_outcomes(outcomes, len(posterior.objectives))
     if values.ndim != 3:
         raise ValueError(f"outcomes must have shape [S, P, T], got {list(values.shape)}.")
     scenes, count = values.shape[:2]

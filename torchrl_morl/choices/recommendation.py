@@ -8,7 +8,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from .outcomes import as_outcomes
+from .outcomes import finite_outcomes
 from .posterior import PreferencePosterior
 
 __all__ = ["Recommendation", "best_preference"]
@@ -76,7 +76,7 @@ def best_preference(
         >>> best.index, best.preference.tolist(), best.regret < best.regret_high
         (1, [0.5, 0.5], True)
     """
-    values = as_outcomes(outcomes, len(posterior.objectives))
+    values = finite_outcomes(outcomes, len(posterior.objectives))
     rows = torch.as_tensor(preferences)
     if rows.ndim != 2 or len(rows) != values.shape[-2]:
         raise ValueError(

@@ -20,6 +20,7 @@ __all__ = ["LidarGeometry", "sector_of"]
 SECTOR_EDGE = 1e-4
 """Share of a sector within which a beam before its start belongs to it: angles are rounded."""
 
+_FURTHEST_MOUNT = 10.0
 _REVOLUTION = 2 * math.pi + 1e-3
 _MOST_BEAMS = 1_000_000
 
@@ -98,6 +99,11 @@ class LidarGeometry:
             raise self._refused("first_angle", "within a revolution, in radians")
         if abs(self.mount[2]) > _REVOLUTION:
             raise self._refused("mount", "x, y and yaw, which is within a revolution, in radians")
+        # Millimetres are larger: from there every obstacle would read as far away.
+        if math.hypot(*self.mount[:2]) > _FURTHEST_MOUNT:
+            raise self._refused(
+                "mount", f"within {_FURTHEST_MOUNT:g} m of the rotation centre, in metres"
+            )
         if self.increment == 0:
             raise self._refused("increment", "different from 0")
         # Drivers may report the first beam again as the last one.

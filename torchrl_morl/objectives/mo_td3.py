@@ -169,6 +169,11 @@ class MOTD3Loss(PreferenceTD3Loss):
         if angle is None and (angle_coeff_actor or angle_coeff_critic):
             raise ValueError("an angle coefficient has no effect without angle=...")
         super().__init__(actor_network, qvalue_network, **td3_kwargs)
+        # A spec of several environments repeats their bounds, and data come in any shape.
+        for name in ("min_action", "max_action"):
+            rows = getattr(self, name).flatten(0, -2) if getattr(self, name).ndim > 1 else None
+            if rows is not None and (rows == rows[0]).all():
+                setattr(self, name, rows[0].clone())
         device = self._default_device
         self.preference_space = preference_space
         self.interpolator = None if interpolator is None else interpolator.to(device)
@@ -337,6 +342,11 @@ class MOTD3Loss(PreferenceTD3Loss):
         """Target ``[*B, K]`` from the value estimator; edits the tensordict."""
         keys = self.tensor_keys
         reward = tensordict.get(("next", keys.reward))
+        if reward is None:
+            raise KeyError(
+                f"the batch has no {('next', keys.reward)}: give transitions, as of "
+                "env.rollout or a collector."
+            )
         if reward.shape != next_qvalue.shape:
             raise ValueError(
                 f"the reward has shape {tuple(reward.shape)}, the critic gives "

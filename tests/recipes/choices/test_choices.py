@@ -169,6 +169,30 @@ def test_mistakes_are_one_line(arguments, message, monkeypatch, capsys, quick, t
     assert list((tmp_path / "here").iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("file", "change", "message"),
+    [
+        ("answers.json", {"objectives": ["a", "b"]}, "answers.json is of ('a', 'b')"),
+        ("answers.json", {"choices": None}, "no state of a PreferencePosterior"),
+        ("setting.json", {"scene": "static"}, "scene must be a list, got 'static'"),
+    ],
+)
+def test_a_folder_that_was_edited_is_refused(
+    file, change, message, tmp_path, monkeypatch, capsys, quick
+):
+    folder = tmp_path / "one"
+    run(monkeypatch, "--answers", "1", "--questions", "1", "--output", folder)
+    path = folder / file
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    before = {one.name: one.read_bytes() for one in folder.iterdir()}
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        run(monkeypatch, "--answers", "1", "--questions", "1", "--resume", folder)
+    said = capsys.readouterr().err
+    assert message in said and said.count("\n") == 1
+    assert {one.name: one.read_bytes() for one in folder.iterdir()} == before
+
+
 def test_drives_that_never_arrive_are_one_line(tmp_path, monkeypatch, capsys, quick, drives):
     metrics = drives.metrics.clone()
     metrics["success"] = torch.zeros_like(metrics["success"])

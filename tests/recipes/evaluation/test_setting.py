@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import shutil
 import sys
@@ -12,7 +13,7 @@ import pytest
 
 import recipes.evaluate
 from envs import get_robot
-from recipes.evaluation.setting import choose, demonstrator, trained_in
+from recipes.evaluation.setting import choose, demonstrator, scene_seed, trained_in
 from recipes.results.systems import load_system
 
 SHIPPED = Path(recipes.evaluate.__file__).parent / "policies" / "navigation"
@@ -88,3 +89,10 @@ def test_evaluate_says_it_in_one_line(changes, message, tmp_path, monkeypatch, c
 def test_a_system_whose_card_says_something_else_is_refused(changes, message, tmp_path):
     with pytest.raises(ValueError, match=f"card: {message}"):
         load_system(f"OUR={policy_with(tmp_path, **changes)}")
+
+
+def test_a_seed_in_other_digits_is_one_line():
+    with pytest.raises(
+        argparse.ArgumentTypeError, match="must be a whole number from 7 to 9999, got"
+    ):
+        scene_seed("\u00b2")

@@ -162,6 +162,14 @@ def header(text: str) -> bytes:
         (lambda folder: (folder / "policy.json").write_text('{"a": NaN}'), "at byte 6"),
         (lambda folder: (folder / "policy.json").write_text("[" * 10**5), "nested too deeply"),
         (lambda folder: (folder / "policy.json").write_text("[]"), "lacks 'format'"),
+        (
+            lambda folder: (folder / "policy.json").write_text('{"a": 1, "b": {"c": 1, "c": 2}}'),
+            "'c' stands there twice",
+        ),
+        (
+            lambda folder: (folder / "policy.json").write_text(r'{"\u00e4": 1, "\u00f6": 2}'),
+            "lacks 'format'",
+        ),
         (lambda folder: changed(folder, format=1), "has format 1, this reads 2"),
         (lambda folder: changed(folder, sensing=None), "does not tell what the policy senses"),
         (lambda folder: changed(folder, period="fast"), "period must be a finite number"),
@@ -237,6 +245,10 @@ def test_the_example_drives_to_its_goal_and_names_mistakes(tmp_path):
             paths[name, preference] = run.stdout
     assert paths["navigation", "0 1 0"] != paths["navigation", "0 0 1"]
     assert "preference must have 3 entries, got 2" in drive(str(NAVIGATION), "1", "0").stdout
+    for weight in ("0.5x", "half", ""):
+        wrong = drive(str(NAVIGATION), "0", "0.5", weight)
+        assert wrong.returncode == 2
+        assert wrong.stderr == f"drive: error: WEIGHT must be a number, got '{weight}'\n"
     mistake = drive(str(ROOT))
     assert mistake.returncode == 2
     assert mistake.stderr.startswith("drive: error: ") and mistake.stderr.count("\n") == 1

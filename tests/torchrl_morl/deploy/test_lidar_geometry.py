@@ -189,6 +189,7 @@ def test_input_is_not_changed_and_may_be_anything():
         ({"num_beams": "180"}, "num_beams must be an integer, got '180'"),
         ({"first_angle": -180}, "first_angle must be within a revolution, in radians, got -180"),
         ({"first_angle": 1e300}, "first_angle must be within a revolution"),
+        ({"mount": (120.0, 0.0, 0.0)}, "mount must be within 10 m of the rotation centre"),
         ({"mount": (0.0, 0.0, 90)}, "mount must be x, y and yaw, which is within a revolution"),
         ({"increment": 1e-13, "num_beams": 10**12}, "num_beams must be at most 1000000"),
     ],

@@ -44,9 +44,27 @@ def loss_for(data: TensorDict, **kwargs) -> MOTD3Loss:
         make_actor(SPEC, in_features=sizes, num_cells=(8,)),
         make_vector_critic(3, in_features=sizes + action, num_cells=(8,)),
         preference_space=THREE,
-        action_spec=SPEC,
-        **kwargs,
+        **({"action_spec": SPEC} | kwargs),
     )
+
+
+def test_the_spec_of_several_environments_is_that_of_one():
+    env = VectorRewardMockEnv(3, batch_size=(4,), seed=0)
+    data = rollout()
+    one, several = (loss_for(data, action_spec=spec) for spec in (SPEC, env.action_spec))
+    assert several.max_action.shape == several.min_action.shape == data["action"].shape[-1:]
+    several.load_state_dict(one.state_dict())
+    for batch in (data, data.reshape(-1), data[0], data.reshape(2, 2, 16)):
+        torch.manual_seed(0)
+        expected = one(batch.clone())["loss_qvalue"]
+        torch.manual_seed(0)
+        assert torch.equal(several(batch.clone())["loss_qvalue"], expected)
+
+
+def test_a_batch_without_what_came_next_is_named():
+    data = rollout()
+    with pytest.raises(KeyError, match=r"the batch has no .*reward.*: give transitions"):
+        loss_for(data)(data.exclude("next"))
 
 
 # --- Several steps: MultiStepTransform writes `steps_to_next_obs` of shape [B].
