@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import reprlib
@@ -10,6 +11,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 _MAX_DEPTH = 64
+
+
+@contextlib.contextmanager
+def named(where: str) -> Iterator[None]:
+    """What refuses values of a file names the file that they stand in."""
+    try:
+        yield
+    except ValueError as error:
+        message = str(error)
+        raise ValueError(message if message.startswith(where) else f"{where}: {message}") from error
 
 
 def parse_json(text: bytes | str, where: str) -> Any:

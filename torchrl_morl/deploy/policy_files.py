@@ -16,7 +16,7 @@ from torchrl_morl.modules import make_actor
 from torchrl_morl.preferences import PreferenceSpace
 
 from . import format1
-from .entries import Entries
+from .entries import Entries, named
 from .files import count_tensors, paths, read_config, read_weights, write_module
 from .networks import (
     ACTIVATIONS,
@@ -142,7 +142,8 @@ def load_policy(
             f"{paths(folder, _KIND)[0]} does not fit {_KIND}.json: it should have "
             f"{2 * (depth + 1) + 2} entries, for {depth} hidden layers, and has another number."
         )
-    actor = _built(network)
+    with named(network.where):
+        actor = _build(network)
     card = config.plain("card")
     if config["format"] > 1:
         sensing = None
@@ -213,16 +214,6 @@ def _network_of_format1(config: Entries) -> Entries:
         "out_key": "action",
     }
     return Entries(network, config.where)
-
-
-def _built(network: Entries) -> TensorDictSequential:
-    """The same of a file, which refusals name."""
-    try:
-        return _build(network)
-    except ValueError as error:
-        message = str(error)
-        named = message.startswith(network.where)
-        raise ValueError(message if named else f"{network.where}: {message}") from error
 
 
 def _build(network: Entries) -> TensorDictSequential:

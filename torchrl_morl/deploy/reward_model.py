@@ -11,7 +11,7 @@ import torch
 from torchrl_morl.arguments import check_device
 from torchrl_morl.modules import RewardModel
 
-from .entries import Entries
+from .entries import Entries, named
 from .files import count_tensors, paths, read_config, read_weights, write_module
 from .networks import (
     ACTIVATIONS,
@@ -90,19 +90,10 @@ def load_reward_model(
             "layers, and has another number."
         )
     card = config.plain("card")
-    model = _built(network)
+    with named(network.where):
+        model = _build(network)
     read_weights(folder, _KIND, model, config)
     return model.requires_grad_(False).eval().to(device), card
-
-
-def _built(network: Entries) -> RewardModel:
-    """The same of a file, which refusals name."""
-    try:
-        return _build(network)
-    except ValueError as error:
-        message = str(error)
-        named = message.startswith(network.where)
-        raise ValueError(message if named else f"{network.where}: {message}") from error
 
 
 def _build(network: Entries) -> RewardModel:
