@@ -317,7 +317,19 @@ def test_what_is_no_summary_is_another_evaluation(content, tmp_path):
 
 def test_numbers_survive_the_file(tmp_path):
     columns = {"time": [1 / 3, math.nan], "success": [True, False], "seed": [0, 0]}
-    summary = {"members": [{"seed": 0}], "num_preferences": 1, "episodes": 2, "x": math.nan}
+    columns |= {"scene_index": [0, 1], "preference_index": [0, 0]}
+    summary = {
+        "system": "A",
+        "condition": "static",
+        "members": [{"seed": 0, "source": "made by hand"}],
+        "episodes": 2,
+        "scene_seed": 7,
+        "edge_steps": 3,
+        "ignores_preference": True,
+        "objectives": ["demo"],
+        "num_preferences": 1,
+        "x": math.nan,
+    }
     write_evaluation(tmp_path / "a", columns, summary, {})
     evaluation = read_evaluation(tmp_path / "a")
     np.testing.assert_allclose(evaluation.values("time")[0, 0], [1 / 3, math.nan], rtol=1e-8)
