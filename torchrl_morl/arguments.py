@@ -11,6 +11,7 @@ import torch
 from tensordict.utils import NestedKey
 
 __all__ = [
+    "MOST_SEED",
     "check_count",
     "check_device",
     "check_flag",
@@ -26,7 +27,7 @@ __all__ = [
 _MOST_WEIGHTS = 2**30
 """Of a layer: 4 GB in single precision."""
 
-_MOST_SEED = 2**63 - 2
+MOST_SEED = 2**63 - 2
 """Some components seed a second generator with the number behind it."""
 
 
@@ -101,7 +102,7 @@ def check_seed(seed: object) -> None:
         ValueError: seed must be a whole number, at least 0, got 'a'.
     """
     if seed is not None:
-        check_count("seed", seed, least=0, most=_MOST_SEED)
+        check_count("seed", seed, least=0, most=MOST_SEED)
 
 
 def check_flag(name: str, value: object) -> None:

@@ -13,6 +13,7 @@ import os
 import reprlib
 import shutil
 import zipfile
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -227,9 +228,9 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]]]:
     if not lines:
         raise ValueError(f"{path} is empty.")
     header, *rows = lines
-    for name in header:
-        if header.count(name) > 1:
-            raise ValueError(f"{path} has the column {name!r} twice.")
+    (name, times), *_ = Counter(header).most_common(1) or [("", 0)]
+    if times > 1:
+        raise ValueError(f"{path} has the column {name!r} twice.")
     for line, row in enumerate(rows, start=2):
         if len(row) != len(header):
             raise ValueError(f"{path}: line {line} has {len(row)} cells, must have {len(header)}.")

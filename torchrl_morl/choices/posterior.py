@@ -13,7 +13,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from torchrl_morl.arguments import check_count, check_seed, shown
+from torchrl_morl.arguments import MOST_SEED, check_count, shown
 from torchrl_morl.deploy.entries import parse_json
 from torchrl_morl.preferences import PreferenceSpace
 
@@ -82,8 +82,7 @@ class PreferencePosterior:
         self.contexts = _names("contexts", contexts)
         self.model = ChoiceModel() if model is None else model
         check_count("particles", particles, 2, LARGEST_SAMPLE)
-        check_count("seed", seed, 0)
-        check_seed(seed)
+        check_count("seed", seed, 0, MOST_SEED)
         size = len(self.objectives)
         self.exact = size <= LARGEST_GRID
         if not self.exact and len(self.contexts) > 1:
