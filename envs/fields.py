@@ -14,6 +14,8 @@ from typing import Any
 
 import yaml
 
+from torchrl_morl import arguments
+
 SUFFIXES = (".yaml", ".yml")
 
 # A scene of a hundred boxes takes 10 kB.
@@ -44,10 +46,7 @@ class _Loader(yaml.SafeLoader):
 
 def shown(value: Any) -> str:
     """A value in one short line, whatever it is."""
-    try:
-        return _REPR.repr(value)
-    except ValueError:  # Python refuses to write more than 4,300 digits
-        return f"an {type(value).__name__} of more digits than can be shown"
+    return arguments.shown(value, _REPR)
 
 
 def is_description(source: Any) -> bool:

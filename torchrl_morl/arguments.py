@@ -31,15 +31,15 @@ MOST_SEED = 2**63 - 2
 """Some components seed a second generator with the number behind it."""
 
 
-def shown(value: object) -> str:
-    """A value in one short line, whatever it is.
+def shown(value: object, writer: reprlib.Repr = reprlib.aRepr) -> str:
+    """A value in one short line, whatever it is; ``writer`` says how short.
 
     Example:
         >>> shown(10**5000)
         'an int of more digits than can be shown'
     """
     try:
-        return " ".join(reprlib.repr(value).split())
+        return " ".join(writer.repr(value).split())
     except ValueError:  # Python refuses to write more than 4,300 digits
         return f"an {type(value).__name__} of more digits than can be shown"
 
