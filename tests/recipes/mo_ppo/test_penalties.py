@@ -10,6 +10,7 @@ from tensordict import TensorDict
 from torchrl.data import Bounded
 
 from recipes.mo_ppo import penalties
+from torchrl_morl.deploy.features import observation_parts
 from torchrl_morl.modules import make_actor
 from torchrl_morl.transforms import LogRange
 
@@ -104,6 +105,38 @@ def test_anchor_lets_go_where_nobody_stands():
             stands=stands,
         )
         torch.testing.assert_close(cost, torch.tensor(math.log(3) * held / 3))
+
+
+def test_anchor_lets_go_where_a_command_is_not_done():
+    """Told to turn, two robots drive straight on: one is late, the other reaches a fifth less."""
+    parts = observation_parts(observe_robot=True, observe_human_velocity=True, observe_motion=True)
+    later = torch.zeros(3, max(max(one) for one in parts.values()) + 1)
+    # Measured speed and turn rate, then the command of this step, as shares of the limits.
+    later[:, list(parts["motion"][:4])] = torch.tensor(
+        [[0.5, 0.0, 0.5, 0.3], [0.5, 0.8, 0.5, 1.0], [0.2, 0.0, 0.5, 0.0]]
+    )
+    obeys = penalties.does_as_told(later, parts, (1.0, 1.0))
+    assert obeys.tolist() == [False, True, False]
+    # In m/s and rad/s of a robot whose limits are these.
+    scaled = later.clone()
+    scaled[:, list(parts["motion"][:4])] *= torch.tensor([0.5, 3.0, 0.5, 3.0])
+    assert torch.equal(penalties.does_as_told(scaled, parts, (0.5, 3.0)), obeys)
+    batch = TensorDict(
+        preference=torch.tensor([[1.0, 0.0]]).expand(3, 2),
+        human=torch.tensor([[3.0, 1.0]]).expand(3, 2),
+        fails=torch.zeros(3, dtype=torch.bool),
+        start_action=torch.zeros(3, 2),
+        batch_size=[3],
+    )
+    cost = penalties.anchor(
+        batch,
+        torch.tensor([0.0, 0.2]).expand(3, 2),
+        sigma=torch.tensor([0.1, 0.1]),
+        objective=0,
+        radius=9.0,
+        obeys=obeys,
+    )
+    torch.testing.assert_close(cost, torch.tensor(math.log(3) / 3))
 
 
 def test_what_a_clone_would_do_is_asked_at_one_preference():
