@@ -23,8 +23,8 @@ from torchrl_morl.transforms import LogRange
 _MARGIN = 0.1
 """Radians."""
 
-_AS_TOLD = 0.25
-"""Share of the limits; servos that lag, and noise, stay below."""
+_TELLING = 0.02
+"""Share of the limits by which commands differ that tell how late they are."""
 
 
 def compute(
@@ -69,9 +69,9 @@ def compute(
             batch, action, actor, stands=stands, demo=demo, efficiency=efficiency
         )
     if anchored:
-        obeys = None
+        late = None
         if "motion" in parts:
-            obeys = does_as_told(batch["next", "observation"], parts, motion_limits(cfg.env))
+            late = is_late(batch["next", "observation"], parts, motion_limits(cfg.env))
         # The demonstrated style is a learned reward: see config.yaml.
         found["anchor"] = anchor(
             batch,
@@ -81,7 +81,7 @@ def compute(
             radius=cfg.loss.anchor_radius,
             clearance=cfg.loss.anchor_clearance,
             stands=stands,
-            obeys=obeys,
+            late=late,
         )
     return found
 
@@ -141,7 +141,7 @@ def anchor(
     radius: float,
     clearance: float = 0.0,
     stands: Tensor | None = None,
-    obeys: Tensor | None = None,
+    late: Tensor | None = None,
 ) -> Tensor:
     """How far a policy has gone from the one it started as, where an objective matters.
 
@@ -167,33 +167,33 @@ def anchor(
         radius: around the human, metres.
         clearance: from the nearest box, metres; 0 holds beside boxes, too.
         stands: where somebody stands, ``[*B]``; ``None`` holds whatever people do.
-        obeys: where the robot does what it is told, ``[*B]``. Of commands that take effect late it would
-            hold those of a robot that does them at once, which sway.
+        late: where commands take effect so late that what was demonstrated sways, ``[*B]``: nothing is
+            held there.
     """
     divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
     held = (batch["human"][..., 0] < radius) & ~batch["fails"]
     if clearance:
         held = held & (nearest_box(batch["observation"], batch["human"]) >= clearance)
-    for holds in (stands, obeys):
-        if holds is not None:
-            held = held & holds
+    if stands is not None:
+        held = held & stands
+    if late is not None:
+        held = held & ~late
     weight = batch["preference"][..., objective] ** 3 * held
     return (weight * divergence.log1p()).mean()
 
 
-def does_as_told(
-    later: Tensor, parts: Mapping[str, Sequence[int]], limits: Sequence[float]
-) -> Tensor:
-    """Where a robot did what it was told in the step, bool ``[*B]``.
+def is_late(later: Tensor, parts: Mapping[str, Sequence[int]], limits: Sequence[float]) -> Tensor:
+    """Where a robot did what it was told three steps before, and not what it was told since, bool ``[*B]``.
 
     Args:
-        later: the observation after the step, ``[*B, D]``: it says what was measured and commanded.
+        later: the observation after the step, ``[*B, D]``: it says what was measured, then the last four
+            commands, the one of the step first.
         parts: of it.
         limits: top speed and turn rate, in its units.
     """
-    speed, turn, commanded, turned = (later[..., entry] for entry in parts["motion"][:4])
-    off = torch.stack((speed - commanded, turn - turned), dim=-1).abs()
-    return (off < _AS_TOLD * off.new_tensor(limits)).all(-1)
+    motion = later[..., list(parts["motion"])].unflatten(-1, (-1, 2)) / later.new_tensor(limits)
+    off = (motion[..., 1:, :] - motion[..., :1, :]).abs().amax(-1)
+    return off[..., -1] + _TELLING < off[..., :-1].amin(-1)
 
 
 def nearest_box(observation: Tensor, human: Tensor) -> Tensor:

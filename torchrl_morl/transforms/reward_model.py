@@ -162,7 +162,9 @@ class RewardModelReward(Transform):
 
     @torch.no_grad()
     def _score(self, tensordict: TensorDictBase, later: TensorDictBase | None = None) -> Tensor:
-        before = [key for key in self.reward_model.in_keys if unravel_key(key) not in self.next_keys]
+        before = [
+            key for key in self.reward_model.in_keys if unravel_key(key) not in self.next_keys
+        ]
         inputs = tensordict.select(*before)
         for key in self.next_keys:
             inputs.set(key, later.get(key))
@@ -200,7 +202,11 @@ class RewardModelReward(Transform):
         observation_spec = self.parent.full_observation_spec
         available = set(observation_spec.keys(True, True))
         for key in map(unravel_key, self.reward_model.in_keys):
-            if key in available and key not in self.next_keys and key not in state_spec.keys(True, True):
+            if (
+                key in available
+                and key not in self.next_keys
+                and key not in state_spec.keys(True, True)
+            ):
                 state_spec[key] = observation_spec[key].clone()
         return state_spec
 
