@@ -91,7 +91,7 @@ class TestRewardModelReward(TransformTests):
         data["next", "done_action"] = torch.rand(6, 2)
         expected = data["observation"][:, 0] + 10 * data["next", "done_action"][:, 0] - 1
         assert torch.allclose(transform(data)["next", "reward"][..., 1], expected)
-        with pytest.raises(ValueError, match="next_keys: the reward model reads .*, not 'motion'"):
+        with pytest.raises(ValueError, match=r"next_keys: the reward model reads .*, not 'motion'"):
             RewardModelReward(model, next_keys=["motion"])
 
     @pytest.mark.parametrize("vectorize", [None, SerialEnv])
