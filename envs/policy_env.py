@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import ExcludeTransform, TransformedEnv
@@ -48,47 +47,23 @@ def observation_size(arguments: Mapping[str, Any], names: Sequence[str] = OBSERV
     return sum(map(len, observation_parts(**observed(arguments, names)).values()))
 
 
-class JudgedByMotion(TensorDictModuleBase):
-    """A reward model among observations that end with the robot's own motion: it judges what was done.
-
-    A command that takes effect late, or slowly, or in part, is not what the robot does. What the reward
-    model gets for ``action`` is what was measured in the step, in [-1, 1] as actions are.
+class WithoutMotion(TensorDictModuleBase):
+    """A reward model among observations that end with the robot's own motion, which it does not read.
 
     Args:
-        reward_model: reads ``observation`` ``[*B, size]``, and may read ``action``.
+        reward_model: reads ``observation`` ``[*B, size]``.
         size: entries of the observation without the motion.
-        limits: the speed (m/s) and the turn rate (rad/s) that are 1 in an action; ``None`` where robots
-            differ, each of which says its own.
     """
 
-    MOTION, ROBOT = "motion", "robot"
-    """Of the state after the step: ``[*B, 10]``, what was measured in it comes first, see
-    :class:`~torchrl_morl.transforms.OwnMotion`; and ``[*B, 6]``, see :class:`NavigationEnv`."""
-
-    def __init__(
-        self,
-        reward_model: TensorDictModuleBase,
-        size: int,
-        limits: tuple[float, float] | None = None,
-    ) -> None:
+    def __init__(self, reward_model: TensorDictModuleBase, size: int) -> None:
         super().__init__()
-        self.reward_model, self.size, self.limits = reward_model, size, limits
-        self.next_keys = [self.MOTION] if limits else [self.MOTION, self.ROBOT]
-        self.in_keys = ["observation", *self.next_keys]
-        self.out_keys = list(reward_model.out_keys)
+        self.reward_model, self.size = reward_model, size
+        self.in_keys, self.out_keys = list(reward_model.in_keys), list(reward_model.out_keys)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the scores."""
-        motion = tensordict[self.MOTION][..., :2]
-        if self.limits is None:
-            limits = tensordict[self.ROBOT][..., 1:3]
-        else:
-            limits = motion.new_tensor(self.limits)
-        speed, turn = (motion / limits).unbind(-1)
-        done = torch.stack((2 * speed - 1, turn), dim=-1).clamp(-1.0, 1.0)
-        seen = tensordict.select("observation")
-        seen["observation"] = seen["observation"][..., : self.size]
-        scores = self.reward_model(seen.set("action", done))
+        seen = tensordict.copy().set("observation", tensordict["observation"][..., : self.size])
+        scores = self.reward_model(seen)
         return tensordict.update(scores.select(*self.out_keys))
 
 
@@ -197,7 +172,7 @@ def make_policy_env(
         observe_nobody: see :func:`policy_transforms`; for scenes without anybody.
         observe_robot: see :func:`policy_transforms`; for robots that differ.
         observe_motion: see :func:`policy_transforms`; for commands that take effect late. A reward model
-            then judges what the robot does, and not what it is told.
+            does not read it.
         **kwargs: see :class:`NavigationEnv`.
 
     Returns:
@@ -227,13 +202,9 @@ def make_policy_env(
     if sampler is not None:
         transforms.append(sampler)
     if reward_model is not None:
-        later: Sequence[str] = ()
         if observe_motion:
-            size = observation_size(observes, SHOWN)
-            limits = None if observe_robot else motion_limits({**observes, **kwargs})
-            reward_model = JudgedByMotion(reward_model, size, limits)
-            later = reward_model.next_keys
-        transforms.append(RewardModelReward(reward_model, position=1, next_keys=later))
+            reward_model = WithoutMotion(reward_model, observation_size(observes, SHOWN))
+        transforms.append(RewardModelReward(reward_model, position=1))
     if not keep_simulation:
         transforms.append(ExcludeTransform("scan", "lidar"))
     env = TransformedEnv(base, transforms)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import deepcopy
 from typing import Self
 
@@ -53,10 +52,6 @@ class RewardModelReward(Transform):
         scale (float): :math:`c`, in units of reward.
         score_key (NestedKey): where the model writes R. R itself is not kept. Several of these
             transforms in one chain need different keys.
-        next_keys (sequence of NestedKey): inputs of the model that are read from the state after the
-            step, such as what a robot did in it, where that is not what it was told. R is then
-            evaluated after the step, and not at its ``action``, which the simulator has in its own
-            units: a model that reads ``next_keys`` reads no action.
 
     Raises:
         ValueError: if the scale is not positive, the model does not write the ``score_key``, or the
@@ -82,7 +77,6 @@ class RewardModelReward(Transform):
         position: int = 1,
         scale: float = 10.0,
         score_key: NestedKey = "demo_score",
-        next_keys: Sequence[NestedKey] = (),
     ) -> None:
         if not isinstance(reward_model, TensorDictModuleBase):
             raise ValueError(f"reward_model must be a TensorDictModule, got {reward_model!r}.")
@@ -91,11 +85,6 @@ class RewardModelReward(Transform):
         written = [unravel_key(key) for key in reward_model.out_keys]
         if self.score_key not in written:
             raise ValueError(f"the reward model writes {written}, not {score_key!r}.")
-        read = [unravel_key(key) for key in reward_model.in_keys]
-        self.next_keys = [unravel_key(key) for key in next_keys]
-        for key in self.next_keys:
-            if key not in read:
-                raise ValueError(f"next_keys: the reward model reads {read}, not {key!r}.")
         check_positive("scale", scale)
         check_count("position", position, least=0)
         self.position = position
@@ -110,7 +99,6 @@ class RewardModelReward(Transform):
             position=self.position,
             scale=self.scale,
             score_key=self.score_key,
-            next_keys=self.next_keys,
             reward_model=self.reward_model,
         )
 
@@ -134,8 +122,7 @@ class RewardModelReward(Transform):
         key = unravel_key(("next", self.in_keys[0]))
         if tensordict.get(key, None) is None:
             key = self.in_keys[0]
-        later = tensordict.get("next", None)
-        score = self._score(tensordict, tensordict if later is None else later)
+        score = self._score(tensordict)
         tensordict.set(key, self._insert(tensordict.get(key), self.scale * (score - 1)))
         return tensordict
 
@@ -143,15 +130,12 @@ class RewardModelReward(Transform):
         # `_step` gets what the base environment got, an action that the whole chain has converted;
         # here it is still the one that this place in the chain exposes. A replay buffer calls this
         # too, on what it is about to store.
-        if is_in_environment(self) and not self.next_keys:
+        if is_in_environment(self):
             tensordict.set(self._carried_key, self._score(tensordict))
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        if self.next_keys:
-            score = self._score(tensordict, next_tensordict)
-        else:
-            score = tensordict.pop(self._carried_key)
+        score = tensordict.pop(self._carried_key)
         reward = next_tensordict.get(self.in_keys[0])
         next_tensordict.set(self.in_keys[0], self._insert(reward, self.scale * (score - 1)))
         return next_tensordict
@@ -161,13 +145,8 @@ class RewardModelReward(Transform):
         return unravel_key(("_reward_model", self.score_key))
 
     @torch.no_grad()
-    def _score(self, tensordict: TensorDictBase, later: TensorDictBase | None = None) -> Tensor:
-        before = [
-            key for key in self.reward_model.in_keys if unravel_key(key) not in self.next_keys
-        ]
-        inputs = tensordict.select(*before)
-        for key in self.next_keys:
-            inputs.set(key, later.get(key))
+    def _score(self, tensordict: TensorDictBase) -> Tensor:
+        inputs = tensordict.select(*self.reward_model.in_keys)
         score = self.reward_model(inputs).get(self.score_key)
         if score.shape[-1] != 1:
             raise ValueError(
@@ -202,11 +181,7 @@ class RewardModelReward(Transform):
         observation_spec = self.parent.full_observation_spec
         available = set(observation_spec.keys(True, True))
         for key in map(unravel_key, self.reward_model.in_keys):
-            if (
-                key in available
-                and key not in self.next_keys
-                and key not in state_spec.keys(True, True)
-            ):
+            if key in available and key not in state_spec.keys(True, True):
                 state_spec[key] = observation_spec[key].clone()
         return state_spec
 

@@ -6,7 +6,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Bounded, Composite, LazyTensorStorage, TensorDictReplayBuffer, Unbounded
-from torchrl.envs import ActionScaling, Compose, SerialEnv, TransformedEnv, UnaryTransform
+from torchrl.envs import ActionScaling, Compose, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from tests._transform_base import TransformTests, make_env, parallel
@@ -77,42 +77,6 @@ class TestRewardModelReward(TransformTests):
         rest = [i for i in range(4) if i != position]
         assert torch.equal(after[..., rest], before)
         assert ((after[..., position] >= -2) & (after[..., position] <= 0)).all()
-
-    def test_what_the_state_after_the_step_says(self):
-        """R is the sum of what was seen before the step and of what was done in it."""
-        model = TensorDictModule(
-            lambda seen, done: (seen[..., :1] + 10 * done[..., :1]).clone(),
-            in_keys=["observation", "done_action"],
-            out_keys=["demo_score"],
-        )
-        transform = RewardModelReward(model, next_keys=["done_action"], scale=1.0)
-        data = transitions(6)
-        data["done_action"] = torch.full((6, 2), 100.0)  # of the step before
-        data["next", "done_action"] = torch.rand(6, 2)
-        expected = data["observation"][:, 0] + 10 * data["next", "done_action"][:, 0] - 1
-        assert torch.allclose(transform(data)["next", "reward"][..., 1], expected)
-        with pytest.raises(ValueError, match=r"next_keys: the reward model reads .*, not 'motion'"):
-            RewardModelReward(model, next_keys=["motion"])
-
-    @pytest.mark.parametrize("vectorize", [None, SerialEnv])
-    def test_the_state_after_the_step_in_an_environment(self, vectorize):
-        """The mock environment's next observation is read as what was done."""
-        copied = UnaryTransform(["observation"], ["seen_later"], fn=lambda seen: 2 * seen)
-        model = TensorDictModule(
-            lambda seen, later: (seen[..., :1] + later[..., 1:2]).clone(),
-            in_keys=["observation", "seen_later"],
-            out_keys=["demo_score"],
-        )
-
-        def make():
-            reward = RewardModelReward(model, next_keys=["seen_later"])
-            return TransformedEnv(make_env(), Compose(copied.clone(), reward))
-
-        env = vectorize(2, make) if vectorize else make()
-        check_env_specs(env)
-        data = env.rollout(8, break_when_any_done=False)
-        score = data["observation"][..., 0] + 2 * data["next", "observation"][..., 1]
-        assert torch.allclose(data["next", "reward"][..., 1], 10 * (score - 1), atol=1e-5)
 
     def test_transform_compose(self):
         preference_space = PreferenceSpace(
