@@ -6,6 +6,7 @@ name          what it does                                                      
 demonstrator  the demonstrated circle around the human; drives through boxes                  goal, human
 straight      turns to the goal and drives there; drives through everything                   goal
 orca          the velocity that avoids collisions and is closest to the way to the goal       ground truth
+dwa           the arc that touches nothing and is the best of heading, clearance and speed    lidar, goal, human
 ============  ==============================================================================  ======
 
 All are deterministic and ignore the preference, so one preference tells everything about them. The
@@ -28,6 +29,8 @@ from envs.demonstrations import CircleDemonstrator, Driver, StraightDriver
 from envs.robots import TURTLEBOT2, Robot, get_robot
 from envs.scenes import HUMAN_RADIUS
 from torchrl_morl.geometry import box_corners, wrap_angle
+
+from .dwa import DwaPlanner
 
 _has_pyrvo = importlib.util.find_spec("pyrvo") is not None
 
@@ -152,6 +155,7 @@ REFERENCES: dict[str, Callable[..., TensorDictModuleBase]] = {
     "demonstrator": CircleDemonstrator,
     "straight": StraightDriver,
     "orca": OrcaPlanner,
+    "dwa": DwaPlanner,
 }
 
 
