@@ -67,6 +67,19 @@ class WithoutMotion(TensorDictModuleBase):
         return tensordict.update(scores.select(*self.out_keys))
 
 
+def motion_limits(arguments: Mapping[str, Any]) -> tuple[float, float]:
+    """What is 1 in an action, in units of the motion in the observation: top speed and turn rate.
+
+    Example:
+        >>> motion_limits({"robot": "any", "observe_robot": True}), motion_limits({})[0]
+        ((1.0, 1.0), 0.5)
+    """
+    if arguments.get("observe_robot"):
+        return 1.0, 1.0
+    robot = largest(get_robots(arguments.get("robot", "turtlebot2")))
+    return robot.max_speed, robot.max_turn_rate
+
+
 def sensing(arguments: Mapping[str, Any]) -> Sensing:
     """What a policy senses under these arguments of :func:`make_policy_env`."""
     robot, max_range = get_robots(arguments.get("robot", "turtlebot2")), arguments.get("max_range")

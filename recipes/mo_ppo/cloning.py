@@ -7,7 +7,7 @@ import tqdm
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
-from envs.robot_ranges import get_robots, largest
+from envs.policy_env import motion_limits
 from recipes.objectives import DEMO, EFFICIENCY
 from recipes.training.task import Task, check_observation
 from torchrl_morl.data import load_demonstrations
@@ -50,10 +50,7 @@ def clone(cfg: DictConfig, task: Task, actor: TensorDictSequential) -> None:
     # Actions are in [-1, 1], from standing to top speed.
     faster = 2 * cfg.optim.cloning_speed - 1
     hurry = space.tunable.index(EFFICIENCY) if EFFICIENCY in space.tunable else None
-    robot = largest(get_robots(cfg.env.robot))
-    # Shares of the largest, where robots differ.
-    limits = (1.0, 1.0) if cfg.env.observe_robot else (robot.max_speed, robot.max_turn_rate)
-    largest_motion = torch.tensor(limits).repeat(NUM_MOTION // 2)
+    largest_motion = torch.tensor(motion_limits(cfg.env)).repeat(NUM_MOTION // 2)
     generator = torch.Generator().manual_seed(cfg.seed)
     optimizer = torch.optim.Adam(actor.parameters(), lr=_LR)
     with tqdm.tqdm(total=updates, desc="cloning", unit="update") as progress:

@@ -62,10 +62,10 @@ def main(cfg: DictConfig) -> None:
     tunable = task.preference_space.tunable
     demo = tunable.index("demo") if "demo" in tunable else None
     efficiency = tunable.index(EFFICIENCY) if EFFICIENCY in tunable else None
-    if cfg.loss.elsewhere_coeff and (demo is None or efficiency is None):
+    if penalties.asks_elsewhere(cfg) and (demo is None or efficiency is None):
         raise ValueError(
-            "loss.elsewhere_coeff must be 0 without the objectives demo and efficiency, got "
-            f"{cfg.loss.elsewhere_coeff}."
+            "loss.elsewhere_coeff and loss.final_elsewhere_coeff must be 0 without the objectives demo "
+            f"and efficiency, got {cfg.loss.elsewhere_coeff} and {cfg.loss.final_elsewhere_coeff}."
         )
     # What it started as, if that is worth keeping: the anchor holds it where the style is preferred.
     has_style = cfg.policy is not None or clones(cfg)

@@ -148,6 +148,9 @@ class Loss(ppo_schema.Loss):
     elsewhere_coeff: NotNegative = Field(
         description="Cost of following a style where nobody stands; needs demonstrations.standing_only."
     )
+    final_elsewhere_coeff: NotNegative | None = Field(
+        description="In the end, where it goes linearly to another one; null: the same throughout."
+    )
     standing_coeff: NotNegative = Field(description="Cost of neither driving nor turning.")
 
     @model_validator(mode="after")
@@ -212,9 +215,11 @@ class Config(Section):
         schema.check_segments(self.preference.num_segments, self.env.num_envs)
         worker_schema.check_workers(self.collector, self.env.num_envs, self.preference.num_segments)
         ppo_schema.check_batch_size(self.optim.batch_size, frames)
-        if self.loss.elsewhere_coeff and not self.demonstrations.standing_only:
-            raise ValueError(
-                "loss.elsewhere_coeff must be 0 without demonstrations.standing_only=true, got "
-                f"{self.loss.elsewhere_coeff}: the style pays everywhere."
-            )
+        for name in ("elsewhere_coeff", "final_elsewhere_coeff"):
+            value = getattr(self.loss, name)
+            if value and not self.demonstrations.standing_only:
+                raise ValueError(
+                    f"loss.{name} must be 0 without demonstrations.standing_only=true, got {value}: the "
+                    "style pays everywhere."
+                )
         return self

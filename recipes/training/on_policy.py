@@ -27,7 +27,7 @@ from .diverged import refuse_diverged
 from .evaluation import Evaluation, Problem
 from .gradients import use_bfloat16
 from .optimizers import step
-from .ppo_optimizers import lmbda, make_schedule, noise
+from .ppo_optimizers import coefficient, lmbda, make_schedule, noise
 from .run_folder import write_run_info
 
 
@@ -140,7 +140,8 @@ def train(
                                 with precision:
                                     paid = costs(batch)
                                 for name, cost in paid.items():
-                                    loss_actor = loss_actor + cfg.loss[f"{name}_coeff"] * cost
+                                    weight = coefficient(cfg, name, collected)
+                                    loss_actor = loss_actor + weight * cost
                                 metrics |= paid
                             step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)
                             averaged.update_parameters(actor)

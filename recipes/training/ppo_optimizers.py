@@ -56,6 +56,12 @@ def noise(cfg: DictConfig, frames: int) -> torch.Tensor:
     return first * (last / first) ** _share(cfg, frames)
 
 
+def coefficient(cfg: DictConfig, name: str, frames: int) -> float:
+    """Of a cost after so many frames: ``loss.NAME_coeff``, which goes linearly to a final one."""
+    first, last = cfg.loss[f"{name}_coeff"], cfg.loss.get(f"final_{name}_coeff")
+    return first if last is None else first + (last - first) * _share(cfg, frames)
+
+
 def lmbda(cfg: DictConfig, frames: int) -> float:
     """Lambda of the advantages after so many frames: it goes linearly to the final one."""
     first, last = cfg.loss.lmbda, cfg.loss.final_lmbda

@@ -174,6 +174,12 @@ BAD = {
         ("loss.standing_coeff", -1, "not be negative"),
         ("loss.mirror_coeff", -1, "not be negative"),
         ("loss.elsewhere_coeff", 1, "must be 0 without demonstrations.standing_only=true, got 1.0"),
+        ("loss.final_elsewhere_coeff", -1, "not be negative"),
+        (
+            "loss.final_elsewhere_coeff",
+            2,
+            "must be 0 without demonstrations.standing_only=true, got 2.0",
+        ),
         ("optim.critic_batches", -1, "at least 0"),
         ("optim.critic_epochs", 0, "at least 1"),
         ("optim.epochs", 0, "at least 1"),
