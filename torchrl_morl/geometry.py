@@ -12,6 +12,7 @@ from torch import Tensor
 __all__ = [
     "box_box_distance",
     "box_corners",
+    "cartesian",
     "point_box_distance",
     "rotate",
     "segment_box_distance",
@@ -19,6 +20,23 @@ __all__ = [
 ]
 
 _CORNER_SIGNS = torch.tensor([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+
+
+def cartesian(polar: Tensor) -> Tensor:
+    """Ahead and to the left, from distance and bearing.
+
+    Args:
+        polar: ``[*B, 2]``, metres and radians.
+
+    Returns:
+        ``[*B, 2]``, metres.
+
+    Example:
+        >>> cartesian(torch.tensor([2.0, torch.pi / 2])).round(decimals=3)
+        tensor([-0., 2.])
+    """
+    distance, bearing = polar.unbind(-1)
+    return torch.stack((distance * bearing.cos(), distance * bearing.sin()), dim=-1)
 
 
 def rotate(vector: Tensor, angle: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 
 from torchrl_morl.evaluation import episode_mask
-from torchrl_morl.geometry import point_box_distance, wrap_angle
+from torchrl_morl.geometry import cartesian, point_box_distance, wrap_angle
 
 from ..navigation import NavigationEnv
 from ..perception import NOBODY
@@ -167,8 +167,8 @@ class CircleDemonstrator(_PassingDriver):
     def _steer(self, goal: Tensor, human: Tensor) -> tuple[Tensor, Tensor]:
         human_distance, human_bearing = human.unbind(-1)
         # Angle from human->goal to human->robot: pi before the human, falling to 0 on the orbit.
-        towards_goal = _cartesian(goal) - _cartesian(human)
-        towards_robot = -_cartesian(human)
+        towards_goal = cartesian(goal) - cartesian(human)
+        towards_robot = -cartesian(human)
         phase = wrap_angle(_angle(towards_robot) - _angle(towards_goal))
         phase = torch.where(phase < -math.pi / 2, phase + 2 * math.pi, phase)
         # The robot leaves when the straight way out to the goal opens: turning takes it another
@@ -258,11 +258,6 @@ class StraightDriver(Driver):
         """Write the action for every robot."""
         bearing = tensordict.get(self.in_keys[0])[..., 1]
         return self._write(tensordict, self._forward_speed(bearing), self._GAIN * bearing)
-
-
-def _cartesian(polar: Tensor) -> Tensor:
-    distance, bearing = polar.unbind(-1)
-    return torch.stack((distance * bearing.cos(), distance * bearing.sin()), dim=-1)
 
 
 def _angle(vector: Tensor) -> Tensor:

@@ -10,10 +10,13 @@ from torch import Tensor
 
 from envs import NavigationEnv
 from envs.demonstrations import Driver
+from envs.lidar import MIN_RANGE
 from envs.perception import NOBODY
 from envs.robots import TURTLEBOT2, Robot, get_robot
 from envs.scenes import HUMAN_RADIUS
 from torchrl_morl.deploy import Sensing
+from torchrl_morl.geometry import cartesian, rotate
+from torchrl_morl.transforms.lidar import valid_ranges
 
 _PERIOD = NavigationEnv.CONTROL_PERIOD
 
@@ -34,6 +37,15 @@ _AIM = round(1.0 / _PERIOD) - 1
 
 _ENOUGH = 0.5
 """Clearance that is as good as more, metres."""
+
+_HEADING, _CLEARANCE, _VELOCITY = 2.0, 0.5, 1.0
+"""Weights of the terms."""
+
+_HORIZON = 3.0
+"""How far ahead arcs are driven, seconds."""
+
+_SHARPEST = 1.6
+"""Of the turn rates that are tried, rad/s."""
 
 _RAYS = 4
 """Side by side, of which the shortest counts."""
@@ -61,15 +73,10 @@ class DwaPlanner(Driver):
 
     Keyword Args:
         margin: kept from everything, beyond the robot's radius, metres.
-        horizon: how far ahead arcs are driven, seconds.
-        heading: weight of facing the goal at the end of an arc.
-        clearance: weight of the distance to the nearest thing on the way.
-        velocity: weight of the speed.
         scaled: write the action in [-1, 1] instead of in m/s and rad/s.
 
     Raises:
-        ValueError: for a horizon that is not positive, a negative margin or weight, or a speed above
-            the robot's.
+        ValueError: for a negative margin, or a speed that is not positive.
 
     Examples:
         >>> from envs.policy_env import make_policy_env
@@ -86,44 +93,31 @@ class DwaPlanner(Driver):
         robot: str | Robot = TURTLEBOT2,
         *,
         margin: float = 0.05,
-        horizon: float = 3.0,
-        heading: float = 2.0,
-        clearance: float = 0.5,
-        velocity: float = 1.0,
         scaled: bool = False,
     ) -> None:
         robot = get_robot(robot)
         in_keys = ["scan", "goal", "human", "pose"]
         super().__init__(min(speed, robot.max_speed), robot, in_keys, "action", scaled)
         self.out_keys = ["action", "dwa"]
-        if not horizon > 0:
-            raise ValueError(f"horizon must be positive, got {horizon} s.")
-        weights = {"heading": heading, "clearance": clearance, "velocity": velocity}
-        for name, value in {"margin": margin, **weights}.items():
-            if value < 0:
-                raise ValueError(f"{name} must not be negative, got {value}.")
+        if margin < 0:
+            raise ValueError(f"margin must not be negative, got {margin} m.")
         self.radius, self.lidar_offset = robot.radius + margin, robot.lidar_offset
-        self.horizon, self.weights = horizon, weights
-        sharpest = min(self.max_turn_rate, 1.6)
-        speeds = torch.linspace(0.0, self.speed, 6)
-        turns = sharpest * torch.linspace(-1.0, 1.0, 15).pow(
-            3
-        )  # close together where it drives ahead
-        self.candidates = torch.cartesian_prod(speeds, turns)
+        # Turn rates lie close together where it drives ahead.
+        turns = min(self.max_turn_rate, _SHARPEST) * torch.linspace(-1.0, 1.0, 15) ** 3
+        self.candidates = torch.cartesian_prod(torch.linspace(0.0, self.speed, 6), turns)
         # Poses on every arc, in the frame of the robot now: a turn about a centre beside it.
-        time = _PERIOD * torch.arange(1, math.ceil(horizon / _PERIOD) + 1)
-        speed_, turn = self.candidates[:, :1], self.candidates[:, 1:]
-        angle = turn * time
-        half = torch.sinc(angle / (2 * math.pi))
-        way = (speed_ * time * half)[..., None]
-        self.ends = way * torch.stack(((angle / 2).cos(), (angle / 2).sin()), dim=-1)
-        self.angles, self.times = angle[:, _AIM], time
+        self.times = _PERIOD * torch.arange(1, round(_HORIZON / _PERIOD) + 1)
+        forward, turn = self.candidates[:, :1], self.candidates[:, 1:]
+        angle = turn * self.times
+        chord = forward * self.times * torch.sinc(angle / (2 * math.pi))
+        self.ends = cartesian(torch.stack((chord, angle / 2), dim=-1))
+        self.angles = angle[:, _AIM]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action of every robot ``[N]``."""
         scan, goal, human, pose = (tensordict.get(key).float() for key in self.in_keys)
         there = (human != human.new_tensor(NOBODY)).any(-1)
-        where = _cartesian(human)
+        where = cartesian(human)
         velocity, seen = self._velocity(where, there, pose, tensordict.get("dwa", None))
         tensordict.set("dwa", seen)
 
@@ -136,17 +130,17 @@ class DwaPlanner(Driver):
         gaps = torch.minimum(gaps, torch.where(there[:, None, None], apart, _NO_RETURN))
 
         # An arc is over at the goal; else it is to face the goal after a second.
-        left = (_cartesian(goal)[:, None, None] - self.ends).norm(dim=-1)
+        left = (cartesian(goal)[:, None, None] - self.ends).norm(dim=-1)
         arrived = (left < _GOAL).cummax(-1).values
         gaps = gaps.masked_fill(arrived, _NO_RETURN)
         nearest = gaps.amin(-1)
-        towards = _cartesian(goal)[:, None] - self.ends[:, _AIM]
+        towards = cartesian(goal)[:, None] - self.ends[:, _AIM]
         off = torch.atan2(towards[..., 1], towards[..., 0]) - self.angles
         facing = ((1 + off.cos()) / 2).masked_fill(arrived[..., -1], 1.0)
         score = (
-            self.weights["heading"] * facing
-            + self.weights["clearance"] * nearest.clamp(0.0, _ENOUGH)
-            + self.weights["velocity"] * self.candidates[:, 0] / self.speed
+            _HEADING * facing
+            + _CLEARANCE * nearest.clamp(0.0, _ENOUGH)
+            + _VELOCITY * self.candidates[:, 0] / self.speed
         )
         # Where every arc touches something, the one that does so last.
         touches = gaps <= 0
@@ -161,23 +155,21 @@ class DwaPlanner(Driver):
         where: Tensor, there: Tensor, pose: Tensor, before: Tensor | None
     ) -> tuple[Tensor, Tensor]:
         """How the human moves, seen from the robot, ``[N, 2]``, m/s; and what to remember, ``[N, 3]``."""
-        cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
-        turned = torch.stack((cos, sin, -sin, cos), dim=-1).unflatten(-1, (2, 2))
-        world = pose[:, :2] + (where[:, None] @ turned)[:, 0]
+        heading = pose[:, 2]
+        world = pose[:, :2] + rotate(where, heading)
         seen = torch.cat((world, there[:, None]), dim=-1)
         if before is None:
             return torch.zeros_like(where), seen
         moved = (world - before[:, :2]) / _PERIOD
         known = there & before[:, 2].bool() & (moved.norm(dim=-1) <= _JUMP)
-        moved = (moved[:, None] @ turned.mT)[:, 0]
-        return torch.where(known[:, None], moved, 0.0), seen
+        return torch.where(known[:, None], rotate(moved, -heading), 0.0), seen
 
     def _returns(self, scan: Tensor, where: Tensor, there: Tensor) -> Tensor:
         """Where the lidar sees what is not the human, ``[N, P, 2]``, metres, from the robot."""
         # An invalid ray says nothing.
-        scan = torch.where(scan.isfinite() & (scan > 0), scan, _NO_RETURN)
+        scan = valid_ranges(scan, MIN_RANGE, Sensing.max_range).nan_to_num(_NO_RETURN)
         angle = torch.arange(scan.shape[-1]) * (2 * math.pi / scan.shape[-1])
-        points = torch.stack((scan * angle.cos(), scan * angle.sin()), dim=-1)
+        points = cartesian(torch.stack((scan, angle.expand_as(scan)), dim=-1))
         points[..., 0] += self.lidar_offset
         human = there[:, None] & ((points - where[:, None]).norm(dim=-1) < HUMAN_RADIUS + _OF_HUMAN)
         free = human | (scan >= Sensing.max_range)
@@ -185,8 +177,3 @@ class DwaPlanner(Driver):
         groups = points.unflatten(1, (-1, _RAYS))
         nearest = torch.where(free, _NO_RETURN, scan).unflatten(1, (-1, _RAYS)).argmin(-1)
         return groups.take_along_dim(nearest[..., None, None], dim=2).squeeze(2)
-
-
-def _cartesian(polar: Tensor) -> Tensor:
-    distance, bearing = polar.unbind(-1)
-    return torch.stack((distance * bearing.cos(), distance * bearing.sin()), dim=-1)

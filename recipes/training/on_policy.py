@@ -27,7 +27,7 @@ from .diverged import refuse_diverged
 from .evaluation import Evaluation, Problem
 from .gradients import use_bfloat16
 from .optimizers import step
-from .ppo_optimizers import coefficient, lmbda, make_schedule, noise
+from .ppo_optimizers import make_schedule, noise, scheduled
 from .run_folder import write_run_info
 
 
@@ -117,7 +117,7 @@ def train(
             progress.update(data.numel())
             # The critic starts from nothing: the actor waits until it has learned the values.
             trains_actor = batches >= cfg.optim.critic_batches
-            advantage.lmbda.fill_(lmbda(cfg, collected) if trains_actor else 1.0)
+            advantage.lmbda.fill_(scheduled(cfg, "lmbda", collected) if trains_actor else 1.0)
             with timeit("advantage"):
                 advantage(data)
                 if prepare is not None:
@@ -140,7 +140,7 @@ def train(
                                 with precision:
                                     paid = costs(batch)
                                 for name, cost in paid.items():
-                                    weight = coefficient(cfg, name, collected)
+                                    weight = scheduled(cfg, f"{name}_coeff", collected)
                                     loss_actor = loss_actor + weight * cost
                                 metrics |= paid
                             step(optimizers["actor"], loss_actor, cfg.optim.max_grad_norm)

@@ -56,18 +56,10 @@ def noise(cfg: DictConfig, frames: int) -> torch.Tensor:
     return first * (last / first) ** _share(cfg, frames)
 
 
-def coefficient(cfg: DictConfig, name: str, frames: int) -> float:
-    """Of a cost after so many frames: ``loss.NAME_coeff``, which goes linearly to a final one."""
-    first, last = cfg.loss[f"{name}_coeff"], cfg.loss.get(f"final_{name}_coeff")
+def scheduled(cfg: DictConfig, name: str, frames: int) -> float:
+    """``loss.NAME`` after so many frames: it goes linearly to ``loss.final_NAME``, where there is one."""
+    first, last = cfg.loss[name], cfg.loss.get(f"final_{name}")
     return first if last is None else first + (last - first) * _share(cfg, frames)
-
-
-def lmbda(cfg: DictConfig, frames: int) -> float:
-    """Lambda of the advantages after so many frames: it goes linearly to the final one."""
-    first, last = cfg.loss.lmbda, cfg.loss.final_lmbda
-    if last is None:
-        return first
-    return first + (last - first) * _share(cfg, frames)
 
 
 def _share(cfg: DictConfig, frames: int) -> float:

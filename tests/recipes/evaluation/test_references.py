@@ -127,9 +127,9 @@ def test_orca_reaches_goals_past_boxes_and_human_without_touching():
     assert result.mean("collision_human")[0] == 0
 
 
-@needs_pyrvo
-def test_orca_reads_nothing_that_its_in_keys_do_not_name():
-    planner = OrcaPlanner(scaled=True)
+@pytest.mark.parametrize("name", [pytest.param("orca", marks=needs_pyrvo), "dwa"])
+def test_planners_read_nothing_that_their_in_keys_do_not_name(name):
+    planner = make_reference(name)
     env = make_policy_env(num_envs=3, seed=0, keep_simulation=True)
     data = env.reset()
     seen = data.select(*planner.in_keys)

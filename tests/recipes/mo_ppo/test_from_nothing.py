@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from tensordict import TensorDict
 from torchrl.checkpoint import CheckpointRotation
 
-from recipes.training.ppo_optimizers import lmbda, noise
+from recipes.training.ppo_optimizers import noise
 from tests._mo_ppo import SPACE, go_on, nothing
 from torchrl_morl.data import save_demonstrations
 from torchrl_morl.deploy import load_policy, save_reward_model
@@ -125,18 +125,6 @@ def test_the_noise_falls_geometrically():
     torch.testing.assert_close(noise(cfg, 50), torch.tensor([0.1, 0.2]))
     torch.testing.assert_close(noise(cfg, 100), torch.tensor([0.05, 0.1]))
     torch.testing.assert_close(noise(cfg, 150), torch.tensor([0.05, 0.1]))
-
-
-def test_lambda_goes_linearly_to_its_last_value():
-    cfg = OmegaConf.create(
-        {
-            "loss": {"lmbda": 0.9, "final_lmbda": 0.7},
-            "collector": {"total_frames": 100},
-        }
-    )
-    assert [round(lmbda(cfg, frames), 6) for frames in (0, 50, 100, 150)] == [0.9, 0.8, 0.7, 0.7]
-    cfg.loss.final_lmbda = None
-    assert lmbda(cfg, 100) == 0.9
 
 
 @pytest.mark.parametrize(("updates", "anchored"), [(1, True), (0, False)])
