@@ -196,6 +196,7 @@ def make_policy_env(
         base.max_range,
         period=base.CONTROL_PERIOD,
         **observes,
+        actions_are_shares=base.robots.varies,
         # Invalid rays are then part of the scans.
         range_min=MIN_RANGE if base.faults.code_beams else None,
     )

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from envs.policy_env import make_policy_env
+from torchrl_morl.deploy.features import observation_parts
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
 
@@ -50,3 +51,22 @@ def test_a_copy_drives_on_by_itself(steps):
     first, second = rollouts
     for key in ("observation", "preference", ("next", "reward")):
         assert torch.equal(first[key], second[key])
+
+
+@pytest.mark.parametrize("robot", ["any", "turtlebot2", "hsr"])
+@pytest.mark.parametrize("observe_robot", [True, False])
+def test_what_was_told_and_what_was_measured_are_in_the_same_units(robot, observe_robot):
+    """A robot without faults that is told the same again and again does it, whichever robot it is."""
+    arguments = {"robot": robot, "observe_robot": observe_robot, "observe_motion": True}
+    env = make_policy_env(num_envs=8, num_threads=1, scene="empty", seed=0, **arguments)
+    parts = observation_parts(observe_robot=observe_robot, observe_motion=True)
+    data = env.reset()
+    action = torch.tensor([0.2, 0.3]).expand(8, 2)  # of what the drive can do, 0.6 and 0.3
+    for _ in range(8):
+        data = env.step(data.set("action", action))["next"]
+    motion = data["observation"][:, list(parts["motion"])].unflatten(-1, (-1, 2))
+    measured, told = motion[:, 0], motion[:, 1]
+    torch.testing.assert_close(measured, told, rtol=0.03, atol=0.01)
+    if observe_robot:
+        torch.testing.assert_close(told, torch.tensor([0.6, 0.3]).expand(8, 2))
+    env.close()

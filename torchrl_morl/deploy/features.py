@@ -107,6 +107,7 @@ def policy_transforms(
     observe_nobody: bool = False,
     observe_robot: bool = False,
     observe_motion: bool = False,
+    actions_are_shares: bool = False,
     range_min: float | None = None,
 ) -> Compose:
     """Transforms that build the policy's ``observation`` ``[*B, 36]`` and scale its action.
@@ -138,6 +139,8 @@ def policy_transforms(
         observe_motion: ten more entries: the speed and the turn rate of the last step, and the last
             four commands, see :class:`~torchrl_morl.transforms.OwnMotion`; with ``observe_robot`` as
             shares of the robot's largest. Reads ``pose``.
+        actions_are_shares: the environment's actions are shares of the limits of its ``robot``, not in
+            m/s and rad/s.
         range_min: for scans of a real lidar, which may be invalid or infinite: see
             :class:`~torchrl_morl.transforms.LidarMinPool`. Without it they are refused.
 
@@ -184,7 +187,11 @@ def policy_transforms(
             if observe_robot
             else []
         ),
-        *(_motion_transforms(period, in_units=observe_robot) if observe_motion else []),
+        *(
+            _motion_transforms(period, in_units=observe_robot, in_shares=actions_are_shares)
+            if observe_motion
+            else []
+        ),
         CatTensors(
             in_keys=in_keys,
             out_key="observation",
@@ -194,10 +201,11 @@ def policy_transforms(
     )
 
 
-def _motion_transforms(period: float, *, in_units: bool) -> list[Transform]:
+def _motion_transforms(period: float, *, in_units: bool, in_shares: bool) -> list[Transform]:
     key, features = "motion", "motion_features"
+    robot_key = "robot" if in_shares else None
     return [
-        OwnMotion(out_key=key, period=period, num_commands=NUM_COMMANDS),
+        OwnMotion(out_key=key, robot_key=robot_key, period=period, num_commands=NUM_COMMANDS),
         MotionInUnits(key, features)
         if in_units
         # A copy: the next step needs the motion, of which the observation takes the features.

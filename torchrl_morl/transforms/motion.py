@@ -12,6 +12,7 @@ from torchrl.envs.transforms import Transform
 
 from torchrl_morl.arguments import check_count
 from torchrl_morl.representation import describe
+from torchrl_morl.transforms.robot import TOP_SPEED, TOP_TURN_RATE
 from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["OwnMotion"]
@@ -40,6 +41,8 @@ class OwnMotion(Transform):
             radians.
         action_key (NestedKey): commands ``[*B, 2]``: speed and turn rate.
         out_key (NestedKey): where ``[*B, 2 + 2 * num_commands]`` is written, m/s and rad/s in turn.
+        robot_key (NestedKey): where commands are shares of a robot's limits: robots ``[*B, 6]``, see
+            :meth:`torchrl_morl.deploy.Sensing.robot`. ``None``: commands are in m/s and rad/s.
 
     Keyword Args:
         period (float): length of a step, seconds.
@@ -68,6 +71,7 @@ class OwnMotion(Transform):
         pose_key: NestedKey = "pose",
         action_key: NestedKey = "action",
         out_key: NestedKey = "motion",
+        robot_key: NestedKey | None = None,
         *,
         period: float,
         num_commands: int = 4,
@@ -78,6 +82,7 @@ class OwnMotion(Transform):
         check_count("num_commands", num_commands)
         super().__init__(in_keys=[unravel_key(pose_key)], out_keys=[unravel_key(out_key)])
         self.action_key = unravel_key(action_key)
+        self.robot_key = None if robot_key is None else unravel_key(robot_key)
         self.period, self.num_commands, self.dtype = period, num_commands, dtype
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -101,6 +106,7 @@ class OwnMotion(Transform):
             pose_key=self.in_keys[0],
             action_key=self.action_key,
             out_key=self.out_keys[0],
+            robot_key=self.robot_key,
             period=self.period,
             num_commands=self.num_commands,
         )
@@ -115,6 +121,8 @@ class OwnMotion(Transform):
         measured = torch.stack((speed, turned), dim=-1) / self.period
         commands = tensordict[out_key][..., 2 : 2 * self.num_commands]
         action = tensordict.get(self.action_key)
+        if self.robot_key is not None:
+            action = action * tensordict.get(self.robot_key)[..., TOP_SPEED : TOP_TURN_RATE + 1]
         motion = torch.cat((measured.to(self.dtype), action.to(self.dtype), commands), dim=-1)
         return next_tensordict.set(out_key, motion)
 
@@ -137,10 +145,12 @@ class OwnMotion(Transform):
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
         state_spec = state_spec.clone()
-        pose = self.parent.full_observation_spec[self.in_keys[0]]
+        observed = self.parent.full_observation_spec
+        pose = observed[self.in_keys[0]]
         known = state_spec.keys(True, True)
-        if self.in_keys[0] not in known:
-            state_spec[self.in_keys[0]] = pose.clone()
+        for key in (self.in_keys[0], self.robot_key):
+            if key is not None and key not in known:
+                state_spec[key] = observed[key].clone()
         if self.out_keys[0] not in known:
             state_spec[self.out_keys[0]] = self._spec(pose)
         return state_spec

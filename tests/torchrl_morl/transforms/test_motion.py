@@ -88,6 +88,16 @@ class TestOwnMotion(TransformTests):
         data = transition()
         assert (own_motion().inv(data.clone()) == data).all()
 
+    def test_commands_that_are_shares_of_limits(self):
+        """At 0.5 m/s and 3 rad/s a share of 0.8 is 0.4 m/s, and one of -0.5 is -1.5 rad/s."""
+        data = transition()
+        data["robot"] = torch.tensor([0.2, 0.5, 3.0, 6.28, 4.0, 0.0]).expand(3, 6)
+        data["action"] = torch.tensor([0.8, -0.5]).expand(3, 2)
+        motion = OwnMotion(robot_key="robot", period=0.2, num_commands=2)(data)["next", "motion"]
+        torch.testing.assert_close(motion[:, 2:4], torch.tensor([0.4, -1.5]).expand(3, 2))
+        # What was measured, and what was told before that, is in m/s and rad/s already.
+        torch.testing.assert_close(motion[:, [0, 1, 4, 5]], EXPECTED[:, [0, 1, 4, 5]])
+
     @pytest.mark.parametrize("turned", [math.pi / 2, -2.0])
     def test_speed_is_along_the_heading(self, turned):
         data = transition()
