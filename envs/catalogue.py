@@ -78,9 +78,11 @@ _ONE_OF_A_RANGE = ("towards_0.5", "towards_1.0", "crossing_0.5", "crossing_1.0",
 
 # Who walks, and what can trap a robot, is what policies fail at: they meet it more often.
 _OFTEN = {
-    "crossing": 3.0,
+    "crossing": 5.0,
     "towards": 3.0,
-    "two_people": 2.0,
+    "two_people": 4.0,
+    "standing_up": 2.0,
+    "overtaking": 2.0,
     "pocket": 2.0,
     "wall": 2.0,
     "doorway": 2.0,

@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from envs.policy_env import motion_limits, observed
 from recipes.objectives import EFFICIENCY
 from recipes.training import command, on_policy
 from recipes.training.agent import make_actor, make_averaged
@@ -23,8 +24,10 @@ from recipes.training.ppo import ENVS_AT_ONCE, make_advantage, make_loss, make_p
 from recipes.training.ppo_optimizers import make_optimizers
 from recipes.training.task import make_task
 from torchrl_morl.deploy import load_policy
+from torchrl_morl.deploy.features import observation_parts
+from torchrl_morl.transforms import RewardModelReward
 
-from . import penalties
+from . import latency, penalties
 from .batches import BATCH, failing, failure_rate
 from .cloning import clone, clones
 from .networks import make_critic
@@ -74,11 +77,30 @@ def main(cfg: DictConfig) -> None:
     # A clone knows the style alone, and that where nothing else is wished.
     shown = task.preference_space.corners()[demo].to(task.device) if clones(cfg) else None
 
+    # A policy that reads its own motion can tell how late its commands are, and so can we.
+    parts = observation_parts(**observed(cfg.env))
+    limits = motion_limits(cfg.env) if "motion" in parts else None
+    judge = next((one for one in task.env.transform if isinstance(one, RewardModelReward)), None)
+
     def prepare(data: TensorDictBase) -> None:
         if start is not None:
             data["start_action"] = penalties.start_action(
                 cfg, start, data, envs_at_once=ENVS_AT_ONCE, preference=shown
             )
+        if limits is not None and judge is not None:
+            done_at = latency.done_at(
+                latency.latency(data, parts, limits), data["collector", "traj_ids"]
+            )
+            latency.judge_when_done(
+                data,
+                done_at,
+                judge.reward_model,
+                entry=judge.position,
+                scale=judge.scale * cfg.replay_buffer.reward_scale,
+                envs_at_once=ENVS_AT_ONCE,
+            )
+            if start is not None:
+                data["start_action"] = latency.rows_at(data["start_action"], done_at)
         data["fails"] = failing(data)
 
     def costs(batch: TensorDictBase) -> dict[str, Tensor]:

@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 
 from envs import HUMAN_RADIUS
-from envs.policy_env import motion_limits, observed
+from envs.policy_env import observed
 from recipes.training.people import somebody_stands
 from torchrl_morl.deploy import Sensing
 from torchrl_morl.deploy.features import NUM_SECTORS, observation_parts
@@ -22,9 +22,6 @@ from torchrl_morl.transforms import LogRange
 
 _MARGIN = 0.1
 """Radians."""
-
-_TELLING = 0.02
-"""Share of the limits by which commands differ that tell how late they are."""
 
 
 def compute(
@@ -69,9 +66,6 @@ def compute(
             batch, action, actor, stands=stands, demo=demo, efficiency=efficiency
         )
     if anchored:
-        late = None
-        if "motion" in parts:
-            late = is_late(batch["next", "observation"], parts, motion_limits(cfg.env))
         # The demonstrated style is a learned reward: see config.yaml.
         found["anchor"] = anchor(
             batch,
@@ -81,7 +75,6 @@ def compute(
             radius=cfg.loss.anchor_radius,
             clearance=cfg.loss.anchor_clearance,
             stands=stands,
-            late=late,
         )
     return found
 
@@ -141,7 +134,6 @@ def anchor(
     radius: float,
     clearance: float = 0.0,
     stands: Tensor | None = None,
-    late: Tensor | None = None,
 ) -> Tensor:
     """How far a policy has gone from the one it started as, where an objective matters.
 
@@ -167,8 +159,6 @@ def anchor(
         radius: around the human, metres.
         clearance: from the nearest box, metres; 0 holds beside boxes, too.
         stands: where somebody stands, ``[*B]``; ``None`` holds whatever people do.
-        late: where commands take effect so late that what was demonstrated sways, ``[*B]``: nothing is
-            held there.
     """
     divergence = ((action - batch["start_action"]) / sigma).square().sum(-1) / 2
     held = (batch["human"][..., 0] < radius) & ~batch["fails"]
@@ -176,24 +166,8 @@ def anchor(
         held = held & (nearest_box(batch["observation"], batch["human"]) >= clearance)
     if stands is not None:
         held = held & stands
-    if late is not None:
-        held = held & ~late
     weight = batch["preference"][..., objective] ** 3 * held
     return (weight * divergence.log1p()).mean()
-
-
-def is_late(later: Tensor, parts: Mapping[str, Sequence[int]], limits: Sequence[float]) -> Tensor:
-    """Where a robot did what it was told three steps before, and not what it was told since, bool ``[*B]``.
-
-    Args:
-        later: the observation after the step, ``[*B, D]``: it says what was measured, then the last four
-            commands, the one of the step first.
-        parts: of it.
-        limits: top speed and turn rate, in its units.
-    """
-    motion = later[..., list(parts["motion"])].unflatten(-1, (-1, 2)) / later.new_tensor(limits)
-    off = (motion[..., 1:, :] - motion[..., :1, :]).abs().amax(-1)
-    return off[..., -1] + _TELLING < off[..., :-1].amin(-1)
 
 
 def nearest_box(observation: Tensor, human: Tensor) -> Tensor:

@@ -66,7 +66,7 @@ def train(
         evaluation: judges the averaged policy, and saves it.
         sigma: standard deviations of the policy, which follow their schedule; ``None`` without one.
         read: what an update reads of a transition.
-        prepare: adds to a batch of frames what ``costs`` read.
+        prepare: adds to a batch of frames what ``costs`` read, and may change its rewards.
         costs: what the actor pays for beside its returns, on a part of a batch; each is weighed by
             ``cfg.loss.<name>_coeff``.
         measure: of a batch of frames, for the loggers.
@@ -119,9 +119,9 @@ def train(
             trains_actor = batches >= cfg.optim.critic_batches
             advantage.lmbda.fill_(scheduled(cfg, "lmbda", collected) if trains_actor else 1.0)
             with timeit("advantage"):
-                advantage(data)
                 if prepare is not None:
                     prepare(data)
+                advantage(data)
             replay_buffer.empty()
             replay_buffer.extend(data.reshape(-1).select(*read, strict=False))
 

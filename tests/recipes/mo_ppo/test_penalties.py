@@ -10,7 +10,6 @@ from tensordict import TensorDict
 from torchrl.data import Bounded
 
 from recipes.mo_ppo import penalties
-from torchrl_morl.deploy.features import observation_parts
 from torchrl_morl.modules import make_actor
 from torchrl_morl.transforms import LogRange
 
@@ -105,40 +104,6 @@ def test_anchor_lets_go_where_nobody_stands():
             stands=stands,
         )
         torch.testing.assert_close(cost, torch.tensor(math.log(3) * held / 3))
-
-
-def test_anchor_lets_go_where_commands_are_three_steps_late():
-    """Told to turn to and fro, robots do what they are told now, a step later, and three later."""
-    parts = observation_parts(observe_robot=True, observe_human_velocity=True, observe_motion=True)
-    later = torch.zeros(5, max(max(one) for one in parts.values()) + 1)
-    # Commands of this step and of the three before it, speed and turn rate as shares of the limits.
-    commands = torch.tensor([0.5, 0.3, 0.5, -0.2, 0.5, 0.1, 0.5, 0.6])
-    measured = torch.tensor([[0.5, 0.28], [0.5, -0.2], [0.5, 0.6], [0.48, 0.55], [0.5, 0.3]])
-    later[:, list(parts["motion"])] = torch.cat((measured, commands.expand(5, -1)), -1)
-    # Where all commands are the same, nothing tells.
-    later[4, list(parts["motion"])] = torch.tensor([0.5, 0.3]).repeat(5)
-    late = penalties.is_late(later, parts, (1.0, 1.0))
-    assert late.tolist() == [False, False, True, True, False]
-    # In m/s and rad/s of a robot whose limits are these.
-    scaled = later.clone()
-    scaled[:, list(parts["motion"])] *= torch.tensor([0.5, 3.0]).repeat(5)
-    assert torch.equal(penalties.is_late(scaled, parts, (0.5, 3.0)), late)
-    batch = TensorDict(
-        preference=torch.tensor([[1.0, 0.0]]).expand(5, 2),
-        human=torch.tensor([[3.0, 1.0]]).expand(5, 2),
-        fails=torch.zeros(5, dtype=torch.bool),
-        start_action=torch.zeros(5, 2),
-        batch_size=[5],
-    )
-    cost = penalties.anchor(
-        batch,
-        torch.tensor([0.0, 0.2]).expand(5, 2),
-        sigma=torch.tensor([0.1, 0.1]),
-        objective=0,
-        radius=9.0,
-        late=late,
-    )
-    torch.testing.assert_close(cost, torch.tensor(math.log(3) * 3 / 5))
 
 
 def test_what_a_clone_would_do_is_asked_at_one_preference():
