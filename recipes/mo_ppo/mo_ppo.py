@@ -99,7 +99,7 @@ def main(cfg: DictConfig) -> None:
                 scale=judge.scale * cfg.replay_buffer.reward_scale,
                 envs_at_once=ENVS_AT_ONCE,
             )
-            if start is not None:
+            if shown is not None and start is not None:  # a policy knows that it is late
                 data["start_action"] = latency.rows_at(data["start_action"], done_at)
         data["fails"] = failing(data)
 
