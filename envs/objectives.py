@@ -15,6 +15,7 @@ from torchrl_morl.arguments import is_number
 
 from .fields import shown
 from .geometry import norm
+from .scenes import HUMAN_RADIUS
 
 # Beyond it rewards would be infinite.
 _LARGEST = 3.4e38
@@ -27,6 +28,9 @@ class RewardConstants:
     Args:
         goal_reward: for each metre by which the goal comes nearer, above 0.
         collision_reward: for a collision, at most 0.
+        discomfort_reward: for each step in which the robot all but touches a person, at most 0; nothing from
+            ``discomfort_distance`` on, and linearly between.
+        discomfort_distance: between the hulls of robot and person, metres.
         style_penalty: for each step without hurry, and at most for one of another style, below 0.
         distance_threshold: distance to the human's centre, metres, from which closeness costs.
         distance_minimum: where it costs ``style_penalty``, metres, below the threshold.
@@ -43,6 +47,8 @@ class RewardConstants:
 
     goal_reward: float = 125.0
     collision_reward: float = -1000.0
+    discomfort_reward: float = 0.0
+    discomfort_distance: float = 0.3
     style_penalty: float = -10.0
     distance_threshold: float = 2.0
     distance_minimum: float = 0.3
@@ -52,6 +58,8 @@ class RewardConstants:
         for name, allowed, fits in (
             ("goal_reward", "a number above 0", lambda value: value > 0),
             ("collision_reward", "a number, at most 0", lambda value: value <= 0),
+            ("discomfort_reward", "a number, at most 0", lambda value: value <= 0),
+            ("discomfort_distance", "a number of metres above 0", lambda value: value > 0),
             ("style_penalty", "a number below 0", lambda value: value < 0),
             ("distance_threshold", "a number of metres above 0", lambda value: value > 0),
             (
@@ -82,17 +90,28 @@ class Task(Protocol):
     flags: np.ndarray
     """Success, collision with the human, with a box: bool ``[N, 3]``."""
     rewards: RewardConstants
+    robot_radius: float | np.ndarray
+    """Metres; ``[N]`` where robots differ."""
 
     def clearance(self) -> np.ndarray:
         """From the robots' hulls to the nearest box, ``[N]``, metres."""
 
 
 def core(task: Task, before: np.ndarray) -> np.ndarray:
-    """Approach of the goal, and collisions (equation 2 of the paper, its sign corrected)."""
-    distance_before, (distance, _) = norm(task.goal - before), task.distance
+    """Approach of the goal, and collisions (equation 2 of the paper, its sign corrected).
+
+    With a ``discomfort_reward`` also all but touching people, as Chen et al. charge for it
+    (https://arxiv.org/abs/1809.08835): a collision alone says nothing before it happens.
+    """
+    distance_before, (distance, human) = norm(task.goal - before), task.distance
     collided = task.flags[:, 1] | task.flags[:, 2]
     rewards = task.rewards
-    return rewards.goal_reward * (distance_before - distance) + rewards.collision_reward * collided
+    earned = rewards.goal_reward * (distance_before - distance) + rewards.collision_reward * collided
+    if rewards.discomfort_reward:
+        gap = human - task.robot_radius - HUMAN_RADIUS
+        share = 1.0 - gap.clip(0.0, rewards.discomfort_distance) / rewards.discomfort_distance
+        earned += rewards.discomfort_reward * share
+    return earned
 
 
 def distance(task: Task, before: np.ndarray) -> np.ndarray:

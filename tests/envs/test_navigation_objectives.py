@@ -13,6 +13,7 @@ from torchrl.envs.utils import check_env_specs
 from envs import OBJECTIVES, NavigationEnv, RewardConstants
 from envs.navigation_task import NavigationTask
 from envs.policy_env import make_policy_env
+from envs.scenes import HUMAN_RADIUS
 from envs.straight_drive import StraightDriveValue
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.geometry import point_box_distance
@@ -87,6 +88,18 @@ def test_constants_by_hand():
     np.testing.assert_allclose(task.reward(before)[0, 0], -7.0)
 
 
+@pytest.mark.parametrize(("gap", "cost"), [(0.5, 0.0), (0.3, 0.0), (0.15, 50.0), (0.06, 80.0)])
+def test_discomfort_by_hand(gap, cost):
+    """From 0.3 m on nothing, in the middle half: whichever the robot's radius."""
+    rewards = RewardConstants(discomfort_reward=-100.0)
+    radius = np.array([0.12, 0.35])
+    task = NavigationTask(2, 0, robot_radius=radius, goal_radius=0.3, rewards=rewards)
+    task.goal[:] = (3.0, 0.0)
+    task.human_pose[:, 0] = -(gap + radius + HUMAN_RADIUS)
+    before = _begin(task)
+    np.testing.assert_allclose(task.reward(before)[:, 0], -cost, atol=1e-9)
+
+
 def test_the_reward_has_the_objectives_in_their_order():
     kwargs = {"num_envs": 4, "num_threads": 1, "seed": 0}
     default = NavigationEnv(**kwargs)
@@ -137,6 +150,8 @@ def test_the_value_of_the_straight_drive_takes_the_same_constants():
         ({"distance_minimum": 2.0}, r"below distance_threshold \(2.0\), got 2.0"),
         ({"distance_minimum": -0.1}, "distance_minimum must be a number of metres, from 0"),
         ({"distance_threshold": None}, "distance_threshold must be a number of metres above 0"),
+        ({"discomfort_reward": 1}, "discomfort_reward must be a number, at most 0"),
+        ({"discomfort_distance": 0}, "discomfort_distance must be a number of metres above 0"),
         ({"clearance_threshold": 0}, "clearance_threshold must be a number of metres above 0"),
         ({"goal": 125}, "rewards: unknown constant 'goal': choose among .'goal_reward'"),
         (125, "rewards must be an envs.RewardConstants or a mapping, got 125"),
