@@ -6,11 +6,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from envs.policy_env import contract
-from torchrl_morl.deploy import LidarGeometry, Sensing, save_policy
-from torchrl_morl.testing import untrained_policy
+from tests import _restless
+from torchrl_morl.deploy import LidarGeometry, Sensing
 
 OBSERVED = {"observe_human_velocity": True, "observe_nobody": True, "observe_robot": True}
 SENSING = Sensing(**OBSERVED)
@@ -40,11 +37,4 @@ def save(
         **card: more of its card.
     """
     trained = {"scene": scene, "robot": robot, **OBSERVED, "observe_motion": motion}
-    facts = contract(trained)
-    torch.manual_seed(seed)
-    policy = untrained_policy(sensing=facts["sensing"])
-    policy.actor[0].module[-1].weight.mul_(100.0)  # a new network hardly turns
-    card = {"config": {"env": trained, "evaluation": {"scene": scene}}} | card
-    return save_policy(
-        folder, policy.actor, preference_space=policy.preference_space, card=card, **facts
-    )
+    return _restless.save(folder, trained, seed=seed, **card)

@@ -17,6 +17,8 @@ for _variable, _value in {
 }.items():
     os.environ.setdefault(_variable, _value)
 
+from pathlib import Path  # noqa: E402
+
 import pytest  # noqa: E402
 import torch  # noqa: E402
 
@@ -37,3 +39,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _seed() -> None:
     """Start every test from the same random state."""
     torch.manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def policy_folders(tmp_path_factory) -> dict[str, Path]:
+    """Folders of policies by name: those that ship, and two that nobody has trained.
+
+    ``walking`` reads the human's velocity, and what the shipped ``navigation`` reads; ``hsr`` is of another robot, on wheels.
+    """
+    from tests import _restless  # most tests need no simulation
+
+    shipped = Path(__file__).resolve().parents[1] / "recipes" / "policies"
+    made = tmp_path_factory.mktemp("policies")
+    return {
+        **{folder.name: folder for folder in shipped.iterdir() if folder.is_dir()},
+        "walking": _restless.save(
+            made / "walking", {"scene": "moving_human", "observe_human_velocity": True}
+        ),
+        "hsr": _restless.save(made / "hsr", {"robot": "hsr", "drive": "wheels"}),
+    }

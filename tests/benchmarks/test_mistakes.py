@@ -30,7 +30,7 @@ MISTAKES = [
     ("lidars", ["--policy", "nowhere"], "nowhere/policy.safetensors not found"),
     ("parity", ["--inputs", "1"], "--inputs: must be a whole number at least 100, got '1'"),
     ("parity", ["--policy", "nowhere"], "nowhere/policy.safetensors not found"),
-    ("parity", ["--policy", str(POLICIES / "moving_humans")], "the human's position alone"),
+    ("parity", ["--policy", str(POLICIES / "everyday")], "the human's position alone"),
     ("parity", ["--policy", str(POLICIES / "our_nh")], "the human's position alone"),
     ("time_to_quality", ["train", "nobody"], "invalid choice: 'nobody'"),
     ("mo_gymnasium", ["run", "--steps", "25000"], "--steps: must be a multiple of 10,000"),

@@ -103,10 +103,6 @@ def test_a_scene_and_a_policy_of_ones_own():
     ("arguments", "message"),
     [
         (["--policy", "nowhere"], "must be a folder, 'nowhere' does not exist"),
-        (
-            ["--policy", str(SHIPPED / "randomised_hsr")],
-            "its drive is wheels, a page runs planar alone",
-        ),
         (["--scene", "moon"], "moon"),
         (["--seeds", "0"], "must be a whole number from 1 to 1000, got '0'"),
         (["--output", "page.txt"], "--output must end in .html, got 'page.txt'"),
@@ -115,6 +111,16 @@ def test_a_scene_and_a_policy_of_ones_own():
 def test_mistakes_are_one_line_and_nothing_is_written(
     arguments, message, tmp_path, monkeypatch, capsys
 ):
+    check_mistake(arguments, message, tmp_path, monkeypatch, capsys)
+
+
+def test_a_policy_on_wheels_is_one(policy_folders, tmp_path, monkeypatch, capsys):
+    arguments = ["--policy", str(policy_folders["hsr"])]
+    message = "its drive is wheels, a page runs planar alone"
+    check_mistake(arguments, message, tmp_path, monkeypatch, capsys)
+
+
+def check_mistake(arguments: list[str], message: str, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as stopped:
         run_here(main, *arguments)

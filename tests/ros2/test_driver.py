@@ -109,8 +109,8 @@ def test_an_empty_array_is_nobody_and_needs_no_other_word():
     assert decision == told(driver(**NOBODY)).step(10.1)
 
 
-def test_velocities_of_a_tracker_reach_a_policy_that_reads_them():
-    policy = load_policy(SHIPPED / "moving_humans")
+def test_velocities_of_a_tracker_reach_a_policy_that_reads_them(policy_folders):
+    policy = load_policy(policy_folders["walking"])
     assert policy.sensing.observe_human_velocity
     decisions = []
     for velocity in ((0.0, 0.0), (-1.0, 0.5)):
@@ -135,8 +135,8 @@ def test_velocities_of_a_tracker_reach_a_policy_that_reads_them():
     assert decisions[0] != decisions[1]
 
 
-def test_without_velocities_they_come_from_two_positions():
-    policy = load_policy(SHIPPED / "moving_humans")
+def test_without_velocities_they_come_from_two_positions(policy_folders):
+    policy = load_policy(policy_folders["walking"])
     made = told(driver(policy=policy, preference=()), human=(3.0, -1.0))
     still = made.step(10.05)
     told(made, 10.2, human=(2.9, -1.0))  # 0.5 m/s towards the robot

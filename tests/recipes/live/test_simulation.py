@@ -46,10 +46,11 @@ def drive(simulation: LiveSimulation, steps: int = 300) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("name", "scene"), [("navigation", "static"), ("moving_humans", "moving_human")]
+    ("name", "scene"),
+    [("navigation", "static"), ("walking", "moving_human"), ("everyday", "moving_human")],
 )
-def test_untouched_it_is_the_environment(make, name, scene):
-    check_untouched(make, load_policy(SHIPPED_POLICY.parent / name), scene)
+def test_untouched_it_is_the_environment(make, policy_folders, name, scene):
+    check_untouched(make, load_policy(policy_folders[name]), scene)
 
 
 @pytest.mark.parametrize("motion", [False, True])
@@ -119,9 +120,9 @@ def test_nobody_can_be_put_into_the_robot(make):
     assert simulation.ending is None
 
 
-def test_a_hand_gives_people_a_velocity_unless_it_is_too_fast(make):
+def test_a_hand_gives_people_a_velocity_unless_it_is_too_fast(make, policy_folders):
     """Along the robot's axes, over a control step of 0.2 s: the policy sees who is dragged coming."""
-    policy = load_policy(SHIPPED_POLICY.parent / "moving_humans")
+    policy = load_policy(policy_folders["walking"])
     seen = []
 
     def act(human_velocity, **sensed):

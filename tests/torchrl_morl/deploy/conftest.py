@@ -23,11 +23,11 @@ def exported(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def exported_walking(tmp_path_factory) -> Path:
-    """That for people who walk, which reads their velocity."""
+def exported_walking(policy_folders, tmp_path_factory) -> Path:
+    """One that reads the human's velocity."""
     pytest.importorskip("onnxscript")
-    file = tmp_path_factory.mktemp("onnx") / "moving_humans.onnx"
-    return export_onnx(load_policy(POLICIES / "moving_humans"), file, lidar=LIDAR)
+    file = tmp_path_factory.mktemp("onnx") / "walking.onnx"
+    return export_onnx(load_policy(policy_folders["walking"]), file, lidar=LIDAR)
 
 
 @pytest.fixture(scope="session")

@@ -47,10 +47,11 @@ def runner(cpp_library) -> Iterator[CppRunner]:
 
 
 @pytest.mark.parametrize("lidar", LIDARS.values(), ids=LIDARS)
-@pytest.mark.parametrize("name", ["navigation", "moving_humans", "randomised_hsr"])
-def test_its_commands_are_those_of_the_runner(cpp_library, name, lidar):
-    ours = PolicyRunner(load_policy(POLICIES / name), lidar=lidar)
-    drive(ours, CppRunner(cpp_library, POLICIES / name, lidar=lidar), lidar, 200)
+@pytest.mark.parametrize("name", ["navigation", "walking", "hsr"])
+def test_its_commands_are_those_of_the_runner(cpp_library, policy_folders, name, lidar):
+    folder = policy_folders[name]
+    ours = PolicyRunner(load_policy(folder), lidar=lidar)
+    drive(ours, CppRunner(cpp_library, folder, lidar=lidar), lidar, 200)
 
 
 def can_be_given_in_c(name: str, value: object) -> bool:
@@ -89,8 +90,8 @@ def test_a_frozen_clock_stops_the_robot(runner):
     assert step(runner, 9.2).reason == "drive"
 
 
-def test_velocities_come_from_odometry(cpp_library):
-    folder = POLICIES / "moving_humans"
+def test_velocities_come_from_odometry(cpp_library, policy_folders):
+    folder = policy_folders["walking"]
     other = CppRunner(cpp_library, folder, lidar=LIDAR)
     check_velocities(PolicyRunner(load_policy(folder), lidar=LIDAR), other)
     bad = step(other, 30.0, odometry=(math.nan, 0.0, 0.0))
@@ -238,7 +239,7 @@ def test_the_example_drives_to_its_goal_and_names_mistakes(tmp_path):
         )
 
     paths = {}
-    for name in ("navigation", "moving_humans"):
+    for name in ("navigation", "everyday"):
         for preference in ("0 1 0", "0 0 1"):
             run = drive(str(POLICIES / name), *preference.split())
             assert run.returncode == 0 and "goal reached" in run.stdout, run.stdout

@@ -31,7 +31,8 @@ def test_the_numbers_are_those_of_the_policies():
     sensing = load_policy(ROOT / "recipes/policies/navigation").sensing
     assert sensing.nobody[0] == 4.0 and sensing.goal_range[1] == 12.0
     assert sensing.human_range[1] == 8.0 and sensing.unknown_range == sensing.max_range
-    assert load_policy(ROOT / "recipes/policies/moving_humans").sensing.human_range[1] == 12.0
+    everyday = load_policy(ROOT / "recipes/policies/everyday").sensing
+    assert everyday.goal_range[1] == everyday.human_range[1] == 15.0
 
 
 def test_what_it_names_exists():

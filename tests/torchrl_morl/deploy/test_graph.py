@@ -66,10 +66,10 @@ def test_sectors_are_those_of_the_lidar(lidar, number):
         np.testing.assert_allclose(found, np.where(np.isnan(expected), 3.0, expected), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["navigation", "moving_humans"])
+@pytest.mark.parametrize("name", ["navigation", "walking"])
 @pytest.mark.parametrize("lidar", LIDARS.values(), ids=LIDARS)
-def test_its_commands_are_those_of_the_runner(name, lidar):
-    policy = load_policy(POLICIES / name)
+def test_its_commands_are_those_of_the_runner(policy_folders, name, lidar):
+    policy = load_policy(policy_folders[name])
     readings = sensor_readings(policy, lidar, 100)
     with torch.inference_mode():
         found = PolicyGraph(policy, lidar)(**tensors(readings)).numpy()

@@ -13,24 +13,17 @@ from tensordict import TensorDict
 
 from envs.policy_env import lidar_geometry, make_policy_env, sensing
 from tests._any_robot import LIDAR, ROBOT, SENSING
-from torchrl_morl.deploy import Policy, PolicyRunner, Sensing, export_onnx
+from tests._restless import restless
+from torchrl_morl.deploy import PolicyRunner, Sensing, export_onnx
 from torchrl_morl.deploy.entries import Entries
 from torchrl_morl.deploy.features import RowFeatures, observation
 from torchrl_morl.deploy.onnx_runner import OnnxRunner
 from torchrl_morl.deploy.sensing import NUM_MOTION
 from torchrl_morl.preferences import PreferenceSpace
-from torchrl_morl.testing import untrained_policy
 from torchrl_morl.transforms import PreferenceSampler
 
 PREFERENCE = (0.2, 0.3, 0.5)
 ALL = dataclasses.replace(SENSING, observe_motion=True)
-
-
-def restless(reads: Sensing) -> Policy:
-    torch.manual_seed(1)
-    policy = untrained_policy(sensing=reads)
-    policy.actor[0].module[-1].weight.mul_(100.0)  # a new network hardly turns
-    return policy
 
 
 @pytest.mark.parametrize("reads", [Sensing(observe_motion=True), ALL], ids=["one robot", "any"])

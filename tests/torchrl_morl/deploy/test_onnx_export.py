@@ -52,8 +52,8 @@ def test_commands_are_those_of_the_policy_in_a_batch_of_any_size(exported, batch
     assert batch == 1 or np.ptp(found, axis=0).min() > 0.1  # the inputs do command different things
 
 
-def test_a_policy_that_reads_velocities(exported_walking):
-    policy = load_policy(POLICIES / "moving_humans")
+def test_a_policy_that_reads_velocities(policy_folders, exported_walking):
+    policy = load_policy(policy_folders["walking"])
     readings = sensor_readings(policy, LIDAR, 100)
     found = run(exported_walking, readings)
     np.testing.assert_allclose(found, act(policy, LIDAR)(readings), atol=1e-4)

@@ -53,14 +53,14 @@ def test_what_is_wrong_with_a_preference_is_named(exported):
     assert "preference of 'demo' must be finite and >= 0, got nan" in found[3]
 
 
-@pytest.mark.parametrize("name", ["navigation", "moving_humans"])
-def test_its_commands_are_those_of_the_runner(name, exported, exported_walking):
-    ours = PolicyRunner(load_policy(POLICIES / name), lidar=LIDAR)
+@pytest.mark.parametrize("name", ["navigation", "walking"])
+def test_its_commands_are_those_of_the_runner(policy_folders, name, exported, exported_walking):
+    ours = PolicyRunner(load_policy(policy_folders[name]), lidar=LIDAR)
     drive(ours, OnnxRunner(exported if name == "navigation" else exported_walking), LIDAR, 200)
 
 
-def test_velocities_come_from_odometry(exported_walking):
-    ours = PolicyRunner(load_policy(POLICIES / "moving_humans"), lidar=LIDAR)
+def test_velocities_come_from_odometry(policy_folders, exported_walking):
+    ours = PolicyRunner(load_policy(policy_folders["walking"]), lidar=LIDAR)
     check_velocities(ours, OnnxRunner(exported_walking))
 
 

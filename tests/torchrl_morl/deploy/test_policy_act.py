@@ -51,9 +51,9 @@ def test_the_action_is_that_of_the_network_in_physical_units(policy):
     np.testing.assert_allclose(policy.act(**given), expected, atol=2e-6)
 
 
-@pytest.mark.parametrize("name", ["navigation", "our_nh", "moving_humans", "randomised_hsr"])
-def test_features_are_those_of_the_environment(name):
-    policy = load_policy(POLICIES / name)
+@pytest.mark.parametrize("name", ["navigation", "our_nh", "walking", "hsr"])
+def test_features_are_those_of_the_environment(policy_folders, name):
+    policy = load_policy(policy_folders[name])
     sensing = policy.sensing
     flags = {
         "observe_human": sensing.observe_human,
@@ -288,8 +288,8 @@ def test_nobody(policy):
     np.testing.assert_array_equal(policy.act(**given), expected)
 
 
-def test_a_policy_that_reads_the_velocity_asks_for_it():
-    policy = load_policy(POLICIES / "moving_humans")
+def test_a_policy_that_reads_the_velocity_asks_for_it(policy_folders):
+    policy = load_policy(policy_folders["walking"])
     with pytest.raises(ValueError, match=r"reads the human's velocity: give human_velocity="):
         policy.act(**inputs())
     assert policy.act(**inputs(), human_velocity=[0.5, 0.0]).shape == (2,)
@@ -316,7 +316,7 @@ def test_weights_of_1e30_do_not_command(policy, tmp_path):
     ("name", "arguments", "message"),
     [
         (
-            "moving_humans",
+            "walking",
             {},
             "this policy reads the human's velocity: observe_human_velocity=True",
         ),
@@ -337,15 +337,15 @@ def test_weights_of_1e30_do_not_command(policy, tmp_path):
 )
 @pytest.mark.parametrize("make", [make_policy_env, NavigationGymEnv])
 def test_an_environment_that_shows_something_else_says_what_to_change(
-    make, name, arguments, message
+    policy_folders, make, name, arguments, message
 ):
     with pytest.raises(ValueError) as error:
-        make(policy=load_policy(POLICIES / name), **arguments)
+        make(policy=load_policy(policy_folders[name]), **arguments)
     assert message in str(error.value)
 
 
-def test_gymnasium_shows_what_a_policy_senses():
-    policy = load_policy(POLICIES / "moving_humans")
+def test_gymnasium_shows_what_a_policy_senses(policy_folders):
+    policy = load_policy(policy_folders["walking"])
     env = NavigationGymEnv(policy=policy, observe_human_velocity=True)
     seen, _ = env.reset(seed=0)
     assert seen.shape == (38,) and (seen[36:] == 0).all()

@@ -26,8 +26,8 @@ def policy():
 
 
 @pytest.fixture(scope="module")
-def walking():
-    return load_policy(POLICIES / "moving_humans")
+def walking(policy_folders):
+    return load_policy(policy_folders["walking"])
 
 
 @pytest.fixture
@@ -215,11 +215,11 @@ def test_a_velocity_that_is_missing_is_asked_for(walking):
 
 @pytest.mark.parametrize(
     ("name", "scene"),
-    [("navigation", "static"), ("moving_humans", "mixed"), ("randomised_hsr", "exploring")],
+    [("navigation", "static"), ("walking", "mixed"), ("hsr", "exploring")],
 )
-def test_the_runner_commands_what_the_actor_does_in_the_environment(name, scene):
+def test_the_runner_commands_what_the_actor_does_in_the_environment(policy_folders, name, scene):
     """Same scans, same commands: the features of training and robot are one implementation."""
-    policy = load_policy(POLICIES / name)
+    policy = load_policy(policy_folders[name])
     env = make_policy_env(
         policy=policy,
         num_envs=2,
