@@ -56,9 +56,19 @@ def make_relabel(
 
 
 def prefill(cfg: DictConfig, task: Task, replay_buffer: TensorDictReplayBuffer) -> None:
-    """Put demonstrations into the buffer: vector rewards make them experience like any other."""
+    """Put demonstrations into the buffer: vector rewards make them experience like any other.
+
+    Raises:
+        ValueError: for drives without rewards, whose actions are not those that were driven.
+    """
     preference_space = task.preference_space
     data, _ = load_demonstrations(cfg.demonstrations.dataset)
+    if ("next", "reward") not in data.keys(True):
+        raise ValueError(
+            f"demonstrations.dataset {cfg.demonstrations.dataset!r} has no rewards: give the "
+            "demonstrations.safetensors of recipes.drex. Its tracked.safetensors is what "
+            "recipes.mo_ppo preset=nothing clones."
+        )
     check_observation(cfg, cfg.demonstrations.dataset, data["observation"].shape[-1])
     data = data[: cfg.demonstrations.prefill]
     data = data[data["mask"]]

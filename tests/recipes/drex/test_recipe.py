@@ -25,7 +25,7 @@ from recipes.training.task import make_preference_space
 from tests._command import run
 from tests._drex import TINY, config
 from tests._task import make_task
-from torchrl_morl.data import load_demonstrations
+from torchrl_morl.data import load_demonstrations, save_demonstrations
 from torchrl_morl.deploy import load_policy, load_reward_model
 from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import RewardModel
@@ -349,6 +349,17 @@ def test_prefilled_demonstrations_are_experience_under_their_own_preference(dist
     for key in ("preference", ("next", "preference")):
         assert (stored[key] == torch.tensor([1.0, 0.0, 0.0])).all()
     assert stored["next", "done"].sum() == 4
+
+
+def test_drives_without_rewards_are_no_experience(distilled, tmp_path):
+    """Their actions lead back to the path; others were driven."""
+    model, _ = load_reward_model(distilled / "reward_model")
+    data, card = load_demonstrations(distilled / "demonstrations.safetensors")
+    path = save_demonstrations(tmp_path / "tracked.safetensors", data.exclude("next"), card)
+    cfg = config("pd_morl", demonstrations__dataset=str(path))
+    task = make_task(make_preference_space(with_demonstrations=True), reward_model=model)
+    with pytest.raises(ValueError, match=r"tracked.safetensors' has no rewards: give the demons"):
+        make_replay_buffer(cfg, task)
 
 
 def test_reward_model_that_is_missing_fails_before_anything_is_written(tmp_path):
