@@ -106,7 +106,9 @@ def core(task: Task, before: np.ndarray) -> np.ndarray:
     distance_before, (distance, human) = norm(task.goal - before), task.distance
     collided = task.flags[:, 1] | task.flags[:, 2]
     rewards = task.rewards
-    earned = rewards.goal_reward * (distance_before - distance) + rewards.collision_reward * collided
+    earned = (
+        rewards.goal_reward * (distance_before - distance) + rewards.collision_reward * collided
+    )
     if rewards.discomfort_reward:
         gap = human - task.robot_radius - HUMAN_RADIUS
         share = 1.0 - gap.clip(0.0, rewards.discomfort_distance) / rewards.discomfort_distance

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-_SCORE = "demo_score"
+from torchrl_morl.transforms import RewardModelReward
 
 _FOLLOWS = 0.3
 """Share of a step in which a base follows a command, between none and one that lags by half a step."""
@@ -70,10 +69,9 @@ def rows_at(values: Tensor, step: Tensor) -> Tensor:
 def judge_when_done(
     data: TensorDictBase,
     step: Tensor,
-    reward_model: TensorDictModuleBase,
+    judge: RewardModelReward,
     *,
-    entry: int,
-    scale: float,
+    reward_scale: float,
     envs_at_once: int,
 ) -> None:
     """Judge each command in the state in which it is done, and pay for it when it is given.
@@ -85,11 +83,10 @@ def judge_when_done(
     Args:
         data: ``[E, T]``; the reward of the style in it is changed in place.
         step: at which each command is done, ``[E, T]``.
-        reward_model: reads ``observation`` and perhaps ``action``, writes scores ``[*B, 1]``.
+        judge: of the environment; its model reads ``observation`` and perhaps ``action``.
 
     Keyword Args:
-        entry: of the reward.
-        scale: of a score in this reward.
+        reward_scale: by which the rewards in ``data`` were multiplied.
         envs_at_once: whose steps are evaluated in one go.
     """
     later = rows_at(data["observation"], step)
@@ -97,7 +94,8 @@ def judge_when_done(
     for part, seen in zip(data.split(envs_at_once), later.split(envs_at_once), strict=True):
         now = part.select("observation", "action")
         then = now.copy().set("observation", seen)
-        changes.append(reward_model(then)[_SCORE] - reward_model(now)[_SCORE])
+        score = judge.reward_model(then)[judge.score_key] - judge.reward_model(now)[judge.score_key]
+        changes.append(reward_scale * judge.scale * score.squeeze(-1))
     reward = data["next", "reward"].clone()
-    reward[..., entry] += scale * torch.cat(changes).squeeze(-1)
+    reward[..., judge.position] += torch.cat(changes)
     data["next", "reward"] = reward

@@ -94,9 +94,8 @@ def main(cfg: DictConfig) -> None:
             latency.judge_when_done(
                 data,
                 done_at,
-                judge.reward_model,
-                entry=judge.position,
-                scale=judge.scale * cfg.replay_buffer.reward_scale,
+                judge,
+                reward_scale=cfg.replay_buffer.reward_scale,
                 envs_at_once=ENVS_AT_ONCE,
             )
             if shown is not None and start is not None:  # a policy knows that it is late

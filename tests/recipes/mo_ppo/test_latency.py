@@ -10,6 +10,7 @@ from tensordict.nn import TensorDictModule
 from envs.policy_env import make_policy_env
 from recipes.mo_ppo.latency import done_at, judge_when_done, latency, rows_at
 from torchrl_morl.deploy.features import observation_parts
+from torchrl_morl.transforms import RewardModelReward
 
 EPISODE = torch.tensor([[0, 0, 0, 0, 1, 1], [2, 2, 2, 2, 2, 2]])
 
@@ -95,13 +96,15 @@ def test_a_command_is_judged_where_it_is_done():
     observation = torch.tensor([1.0, 2.0, 3.0, 4.0])[None, :, None].expand(3, 4, 1)
     action = torch.tensor([0.1, 0.2, 0.3, 0.4])[None, :, None].expand(3, 4, 1)
     reward = torch.zeros(3, 4, 2)
-    reward[..., 1] = 10 * ((observation * action).squeeze(-1) - 1) - 7  # and a collision
+    # Of the style, and a collision.
+    reward[..., 1] = 0.01 * (10 * ((observation * action).squeeze(-1) - 1) - 7)
     data = TensorDict(
         {"observation": observation, "action": action, ("next", "reward"): reward},
         batch_size=[3, 4],
     )
     step = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 3], [3, 3, 3, 3]])
-    judge_when_done(data, step, model, entry=1, scale=10.0, envs_at_once=2)
+    judge = RewardModelReward(model, position=1, scale=10.0)
+    judge_when_done(data, step, judge, reward_scale=0.01, envs_at_once=2)
     scores = torch.tensor([[0.1, 0.4, 0.9, 1.6], [0.2, 0.6, 1.2, 1.6], [0.4, 0.8, 1.2, 1.6]])
-    torch.testing.assert_close(data["next", "reward"][..., 1], 10 * (scores - 1) - 7)
+    torch.testing.assert_close(data["next", "reward"][..., 1], 0.01 * (10 * scores - 17))
     assert (data["next", "reward"][..., 0] == 0).all()
