@@ -7,7 +7,9 @@ import torch
 from tensordict import TensorDict
 
 from envs.policy_env import SHOWN, observation_size
-from tests._mo_ppo import go_on, nothing
+from recipes.mo_ppo import mo_ppo
+from tests._command import ROOT, run_here
+from tests._mo_ppo import TINY, go_on, nothing
 from torchrl_morl.data import save_demonstrations
 from torchrl_morl.deploy import load_policy, save_reward_model
 from torchrl_morl.modules import RewardModel
@@ -55,3 +57,22 @@ def test_it_learns_with_a_style_shown_without_motion(tmp_path, observed):
     assert (actions[1] - actions[0]).square().mean() < 0.01
     go_on(folder, "collector.total_frames=160")
     assert load_policy(folder / "policies" / "000000160").sensing == policy.sensing
+
+
+def test_the_policy_for_everything_goes_on_in_a_scene_of_ones_own(tmp_path, monkeypatch):
+    """preset=further names what ships: from the checkout it needs nothing else."""
+    monkeypatch.chdir(ROOT)
+    scene = tmp_path / "mine.yaml"
+    scene.write_text("mixture: {everyday: 1, corridor: 1}\n")
+    folder = tmp_path / "run"
+    own = (f"env.scene={scene}", "evaluation.scene=corridor", f"hydra.run.dir={folder}")
+    run_here(mo_ppo.main, "preset=further", *TINY, *own)
+    before = load_policy("recipes/policies/everyday")
+    after = load_policy(folder / "policies" / "000000128")
+    assert after.sensing == before.sensing
+    # So few steps change it, and hardly.
+    changes = [
+        (one - other).abs().max()
+        for one, other in zip(after.actor.parameters(), before.actor.parameters(), strict=True)
+    ]
+    assert 0 < max(changes) < 0.01
