@@ -12,7 +12,7 @@ from torchrl.envs.transforms import Transform
 
 from torchrl_morl.arguments import check_count
 from torchrl_morl.representation import describe
-from torchrl_morl.transforms.robot import TOP_SPEED, TOP_TURN_RATE
+from torchrl_morl.transforms.robot import ROBOT_SCALES, TOP_SPEED, TOP_TURN_RATE
 from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["OwnMotion"]
@@ -50,7 +50,9 @@ class OwnMotion(Transform):
         dtype (torch.dtype): of what is written.
 
     Raises:
-        ValueError: if the period is not finite and positive, or the number of commands below 1.
+        KeyError: at a call without the robots that ``robot_key`` names.
+        ValueError: if the period is not finite and positive, or the number of commands below 1; at a call
+            with robots of another shape.
 
     Example:
         >>> import torch
@@ -122,7 +124,12 @@ class OwnMotion(Transform):
         commands = tensordict[out_key][..., 2 : 2 * self.num_commands]
         action = tensordict.get(self.action_key)
         if self.robot_key is not None:
-            action = action * tensordict.get(self.robot_key)[..., TOP_SPEED : TOP_TURN_RATE + 1]
+            robot = tensordict[self.robot_key]
+            if robot.shape[-1:] != (len(ROBOT_SCALES),):
+                raise ValueError(
+                    f"{self.robot_key} must have shape [..., {len(ROBOT_SCALES)}], got {list(robot.shape)}."
+                )
+            action = action * robot[..., TOP_SPEED : TOP_TURN_RATE + 1]
         motion = torch.cat((measured.to(self.dtype), action.to(self.dtype), commands), dim=-1)
         return next_tensordict.set(out_key, motion)
 

@@ -98,6 +98,15 @@ class TestOwnMotion(TransformTests):
         # What was measured, and what was told before that, is in m/s and rad/s already.
         torch.testing.assert_close(motion[:, [0, 1, 4, 5]], EXPECTED[:, [0, 1, 4, 5]])
 
+    def test_robots_that_are_none(self):
+        data = transition()
+        transform = OwnMotion(robot_key="robot", period=0.2, num_commands=2)
+        with pytest.raises(KeyError, match="robot"):
+            transform(data)
+        data["robot"] = torch.zeros(3, 2)
+        with pytest.raises(ValueError, match=r"robot must have shape \[..., 6\], got \[3, 2\]"):
+            transform(data)
+
     @pytest.mark.parametrize("turned", [math.pi / 2, -2.0])
     def test_speed_is_along_the_heading(self, turned):
         data = transition()
