@@ -77,9 +77,8 @@ def main(cfg: DictConfig) -> None:
     # A clone knows the style alone, and that where nothing else is wished.
     shown = task.preference_space.corners()[demo].to(task.device) if clones(cfg) else None
 
-    # A policy that reads its own motion can tell how late its commands are, and so can we.
+    # Of a style. What a policy reads of its own motion tells how late its commands are.
     parts = observation_parts(**observed(cfg.env))
-    limits = motion_limits(cfg.env) if "motion" in parts else None
     judge = next((one for one in task.env.transform if isinstance(one, RewardModelReward)), None)
 
     def prepare(data: TensorDictBase) -> None:
@@ -87,10 +86,9 @@ def main(cfg: DictConfig) -> None:
             data["start_action"] = penalties.start_action(
                 cfg, start, data, envs_at_once=ENVS_AT_ONCE, preference=shown
             )
-        if limits is not None and judge is not None:
-            done_at = latency.done_at(
-                latency.latency(data, parts, limits), data["collector", "traj_ids"]
-            )
+        if judge is not None and "motion" in parts:
+            late = latency.latency(data, parts, motion_limits(cfg.env))
+            done_at = latency.done_at(late, data["collector", "traj_ids"])
             latency.judge_when_done(
                 data,
                 done_at,
@@ -98,7 +96,7 @@ def main(cfg: DictConfig) -> None:
                 reward_scale=cfg.replay_buffer.reward_scale,
                 envs_at_once=ENVS_AT_ONCE,
             )
-            if shown is not None and start is not None:  # a policy knows that it is late
+            if start is not None and shown is not None:  # else it knows that it is late
                 data["start_action"] = latency.rows_at(data["start_action"], done_at)
         data["fails"] = failing(data)
 

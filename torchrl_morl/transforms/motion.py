@@ -12,7 +12,7 @@ from torchrl.envs.transforms import Transform
 
 from torchrl_morl.arguments import check_count
 from torchrl_morl.representation import describe
-from torchrl_morl.transforms.robot import ROBOT_SCALES, TOP_SPEED, TOP_TURN_RATE
+from torchrl_morl.transforms.robot import TOP_SPEED, TOP_TURN_RATE, check_robot
 from torchrl_morl.transforms.stored import apart_from_storage
 
 __all__ = ["OwnMotion"]
@@ -125,10 +125,7 @@ class OwnMotion(Transform):
         action = tensordict.get(self.action_key)
         if self.robot_key is not None:
             robot = tensordict[self.robot_key]
-            if robot.shape[-1:] != (len(ROBOT_SCALES),):
-                raise ValueError(
-                    f"{self.robot_key} must have shape [..., {len(ROBOT_SCALES)}], got {list(robot.shape)}."
-                )
+            check_robot(robot, self.robot_key)
             action = action * robot[..., TOP_SPEED : TOP_TURN_RATE + 1]
         motion = torch.cat((measured.to(self.dtype), action.to(self.dtype), commands), dim=-1)
         return next_tensordict.set(out_key, motion)

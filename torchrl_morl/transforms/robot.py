@@ -138,6 +138,19 @@ class IsNobody:
         return (human == nobody).all(-1, keepdim=True).to(human.dtype)
 
 
+def check_robot(robot: Tensor, key: NestedKey) -> None:
+    """Raise ``ValueError`` for what are no numbers of robots ``[*B, 6]``.
+
+    Args:
+        robot: to be checked.
+        key: where it stands, for the message.
+    """
+    if robot.shape[-1:] != (len(ROBOT_SCALES),):
+        raise ValueError(
+            f"{key} must have shape [..., {len(ROBOT_SCALES)}], got {list(robot.shape)}."
+        )
+
+
 class _WithRobot(Transform):
     """Adds what follows from one entry and the robot."""
 
@@ -151,10 +164,7 @@ class _WithRobot(Transform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         value, robot = (next_tensordict[key] for key in self.in_keys)
-        if robot.shape[-1:] != (len(ROBOT_SCALES),):
-            raise ValueError(
-                f"{self.in_keys[1]} must have shape [..., {len(ROBOT_SCALES)}], got {list(robot.shape)}."
-            )
+        check_robot(robot, self.in_keys[1])
         # The specs say that entries keep their dtype; the robot may have another.
         return next_tensordict.set(self.out_keys[0], self.compute(value, robot.to(value.dtype)))
 

@@ -51,12 +51,13 @@ def test_latency_of_robots_that_differ_and_lag():
         seed=3,
         scene="empty",
         robot="any",
+        keep_simulation=True,
         faults={"latency": (0, 3), "lag": (0.0, 0.1), "speed_scale": (0.9, 1.1)},
         **observes,
     )
     draw, data, steps, expected = torch.Generator().manual_seed(0), env.reset(), [], []
     for _ in range(20):
-        expected.append(env.base_env._faults[:, 3].long())
+        expected.append(data["faults"][:, 3].long())
         data["action"] = 0.6 * torch.rand(32, 2, generator=draw) - 0.1
         stepped = env.step(data)
         steps.append(stepped)
