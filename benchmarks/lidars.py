@@ -26,9 +26,9 @@ from envs.scene_files import get_scene
 from envs.scenes import HUMAN_RADIUS, Scene
 from recipes.arguments import Parser, episodes
 from recipes.evaluation.setting import scene_seed
-from recipes.evaluation.sweep import SHIPPED_POLICY
 from torchrl_morl.deploy import LidarGeometry, Policy, PolicyRunner, load_policy
 
+POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "polished_seed0"
 FULL = 2 * math.pi
 FAR_AWAY = 500.0
 
@@ -249,7 +249,7 @@ def row(case: Case, parts: list[dict], same: bool) -> str:
 
 def main() -> None:
     parser = Parser(prog="lidars", description=__doc__)
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument("--policy", type=Path, default=POLICY, help="folder of the policy")
     parser.add_argument("--episodes", type=episodes, default=100, help="scenes for each preference")
     parser.add_argument("--seed", type=scene_seed, default=7, help="of the scenes")
     parser.add_argument("--only", nargs="+", help="rows whose name holds one of these words")
@@ -263,6 +263,7 @@ def main() -> None:
         policy = load_policy(args.policy)
         if policy.sensing is None:
             raise ValueError(f"{args.policy} does not tell what it senses.")
+        policy.sensing.robot(None)  # these are lidars of the robot of its training
     except (OSError, ValueError) as error:
         parser.error(str(error))
     space = policy.preference_space

@@ -30,7 +30,6 @@ from envs.policy_env import make_policy_env
 from envs.robots import get_robot
 from recipes.arguments import Parser, count, episodes
 from recipes.evaluation.setting import scene_seed
-from recipes.evaluation.sweep import SHIPPED_POLICY
 from torchrl_morl._extras import from_extra
 from torchrl_morl.deploy import (
     LidarGeometry,
@@ -44,6 +43,9 @@ from torchrl_morl.deploy import (
 from torchrl_morl.deploy.features import policy_transforms
 from torchrl_morl.deploy.onnx_runner import OnnxRunner
 from torchrl_morl.testing import sensor_readings
+
+POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "polished_seed0"
+"""It reads what most have: a scan, a goal and where the human is."""
 
 Readings = Mapping[str, np.ndarray]
 _MAX_STEPS = 300
@@ -208,7 +210,7 @@ def latency(way: Way, readings: Readings, calls: int) -> float:
 
 def main() -> None:
     parser = Parser(prog="parity", description=__doc__)
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument("--policy", type=Path, default=POLICY, help="folder of the policy")
     parser.add_argument("--inputs", type=count(100), default=10_000, help="random inputs")
     parser.add_argument("--episodes", type=episodes, default=50, help="scenes for each preference")
     parser.add_argument("--calls", type=count(10), default=5_000, help="timed calls of each way")

@@ -7,6 +7,7 @@ runs on one torch thread, eager; ``benchmarks.learner`` has the compiled updates
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,13 +15,14 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import step_mdp
 
-from recipes.evaluation.sweep import SHIPPED_POLICY
 from recipes.training.task import make_eval_env, make_preference_space, make_train_env
 from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy
 from torchrl_morl.evaluation import rollout_preferences
 
 from .ours import Ours
 from .workload import config, transitions
+
+POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "polished_seed0"
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +118,7 @@ def test_evaluation_of_one_preference(benchmark, cfg, ours):
 
 @pytest.fixture(scope="module")
 def deployed():
-    return load_policy(SHIPPED_POLICY)
+    return load_policy(POLICY)
 
 
 OBSERVED = {

@@ -1,9 +1,11 @@
 // A policy of torchrl_morl on a robot, in C++17 and with the standard library alone.
 //
+//   torchrl_morl::Options options;
+//   options.robot = {0.177, 0.5, 3.1416, 6.2832, 3.5, 0.0};  // radius, speeds, lidar: view, range, x
 //   torchrl_morl::Runner runner(torchrl_morl::Policy("recipes/policies/navigation"),
-//                               {-3.1416, 0.017453, 360, 0.12, 3.5});
+//                               {-3.1416, 0.017453, 360, 0.12, 3.5}, options);
 //   auto command = runner.step(&ranges, torchrl_morl::Polar{6.0, 0.3}, torchrl_morl::Polar{2.5, -0.4},
-//                              {0.2, 0.5, 0.3}, stamp, now);
+//                              {0.2, 0.5, 0.3}, stamp, now, {}, odometry);
 //   // command.speed (m/s), command.turn_rate (rad/s), command.reason
 //
 // It reads the folder of a policy as it is: nothing has to be exported. What it computes and what it refuses are

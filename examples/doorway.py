@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from envs.metrics import episode_metrics
-from envs.policy_env import make_policy_env
+from envs.policy_env import OBSERVED, make_policy_env
 from recipes.arguments import Parser
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import rollout_preferences
@@ -23,6 +23,7 @@ def main(episodes: int = 20, seed: int = 7) -> None:
         scene=SCENE,
         num_envs=episodes,
         keep_simulation=True,
+        **{name: getattr(policy.sensing, name) for name in OBSERVED},
     )
     preferences = policy.preference_space.corners()
     rollout = rollout_preferences(env, policy.actor, preferences, max_steps=300, seed=seed)

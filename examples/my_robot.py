@@ -6,7 +6,7 @@ from pathlib import Path
 
 from envs import NavigationEnv
 from envs.metrics import episode_metrics
-from envs.policy_env import make_policy_env
+from envs.policy_env import OBSERVED, make_policy_env
 from recipes.arguments import Parser
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import rollout_preferences
@@ -17,7 +17,7 @@ POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "navigation"
 
 
 def main(episodes: int = 20, seed: int = 7) -> None:
-    """Print the scans of its 10 m lidar, and the metrics of a policy that knows 4 m."""
+    """Print the scans of its 10 m lidar, and the metrics of a policy that is told which robot it drives."""
     env = NavigationEnv(robot=ROBOT, num_rays=720, max_range=10.0, num_envs=episodes, seed=seed)
     returns = (env.reset()["scan"] < env.max_range).float().sum(-1)
     print(f"{env.robot.name}: {returns.mean():.0f} of its 541 beams meet something at the start")
@@ -28,6 +28,7 @@ def main(episodes: int = 20, seed: int = 7) -> None:
         robot=ROBOT,
         num_envs=episodes,
         keep_simulation=True,
+        **{name: getattr(policy.sensing, name) for name in OBSERVED},
     )
     preferences = policy.preference_space.corners()
     rollout = rollout_preferences(env, policy.actor, preferences, max_steps=300, seed=seed)

@@ -11,6 +11,14 @@ import numpy as np
 from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy
 
 POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "navigation"
+ROBOT = (
+    0.177,
+    0.5,
+    np.pi,
+    2 * np.pi,
+    4.0,
+    0.0,
+)  # radius, top speed and turn rate, lidar: view, range, x
 GOAL, PERSON, RADIUS = np.array([9.0, 0.0]), np.array([4.5, 0.0]), 0.25
 BEAMS = np.linspace(-np.pi, np.pi, 360, endpoint=False)
 
@@ -31,12 +39,19 @@ def scan(pose: np.ndarray) -> np.ndarray:
 def drive(preference: tuple[float, ...]) -> tuple[float, float]:
     lidar = LidarGeometry(-np.pi, 2 * np.pi / 360, 360, range_min=0.1, range_max=4.0)
     policy = load_policy(POLICY)
-    runner, pose, nearest = PolicyRunner(policy, lidar=lidar), np.zeros(3), np.inf
+    runner = PolicyRunner(policy, lidar=lidar, robot=ROBOT)
+    pose, nearest = np.zeros(3), np.inf
     for step in range(300):
         time = policy.period * step
         goal, person = polar(pose, GOAL), polar(pose, PERSON)
         command = runner.step(
-            scan(pose), goal=goal, human=person, preference=preference, stamp=time, time=time
+            scan(pose),
+            goal=goal,
+            human=person,
+            preference=preference,
+            odometry=pose,
+            stamp=time,
+            time=time,
         )
         if command.reason != "drive":
             break

@@ -2,7 +2,7 @@
 
 Example::
 
-    python -m recipes.film --policy recipes/policies/everyday --scene moving_human --output walking.gif
+    python -m recipes.film --scene moving_human --output walking.gif
 """
 
 from __future__ import annotations

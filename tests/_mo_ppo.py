@@ -16,7 +16,7 @@ from torchrl_morl.deploy.features import OBSERVATION_SIZE
 from torchrl_morl.modules import make_actor
 
 SPACE = PreferenceSpace(NavigationEnv.objectives, static={"core": 1.0})
-SHIPPED = Path(mo_ppo.__file__).parents[1] / "policies" / "navigation"
+SHIPPED = Path(mo_ppo.__file__).parents[1] / "policies" / "polished_seed0"
 CONFIG = {
     "seed": 7,
     "env": {

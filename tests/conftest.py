@@ -45,7 +45,7 @@ def _seed() -> None:
 def policy_folders(tmp_path_factory) -> dict[str, Path]:
     """Folders of policies by name: those that ship, and two that nobody has trained.
 
-    ``walking`` reads the human's velocity, and what the shipped ``navigation`` reads; ``hsr`` is of another robot, on wheels.
+    ``walking`` reads the human's velocity, and what the shipped ``polished_seed0`` reads; ``hsr`` is of another robot, on wheels.
     """
     from tests import _restless  # most tests need no simulation
 

@@ -19,8 +19,8 @@ const SCENES = {
 };
 
 const POLICIES = {
-  navigation: "navigation, for people who stand",
-  everyday: "everyday, for people who walk",
+  navigation: "navigation, whatever people do",
+  polished_seed0: "polished_seed0, for people who stand",
 };
 
 export const byId = (id) => document.getElementById(id);

@@ -3,7 +3,7 @@
 A policy can only learn what its reward model pays most for, and only as far as its noise leaves a
 difference::
 
-    python -m recipes.drex.landscape runs/drex/reward_model --policies recipes/policies/navigation
+    python -m recipes.drex.landscape runs/drex/reward_model --policies recipes/policies/polished_seed0
     python -m recipes.drex.landscape MODEL --noise 0 0 --noise 0.05 0.15 --output runs/landscape
 
 Every driver drives in the same scenes, those whose demonstrated way no box blocks. Policies drive at

@@ -3,7 +3,7 @@
 Change what matters to it as it drives, drag the person, the goal and the boxes::
 
     python -m recipes.live
-    python -m recipes.live --policy recipes/policies/everyday --scene moving_human
+    python -m recipes.live --scene moving_human
 
 Then open the address that it prints. ``make page`` builds a page that needs none of this; here any policy, scene,
 robot and drive runs that ``recipes.evaluate`` takes. Needs viser: ``pip install -c constraints.txt -e . --group live``.

@@ -31,7 +31,7 @@ def main() -> None:
         nargs="+",
         default=list(SHIPPED),
         metavar="FOLDER",
-        help="policies, the first is shown first (default: navigation and everyday)",
+        help="policies, the first is shown first (default: navigation and polished_seed0)",
     )
     parser.add_argument(
         "--scene",

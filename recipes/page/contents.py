@@ -19,8 +19,8 @@ from torchrl_morl.deploy import load_policy
 from torchrl_morl.deploy.networks import describe_mlp
 
 _POLICIES = Path(__file__).resolve().parents[1] / "policies"
-SHIPPED = (_POLICIES / "navigation", _POLICIES / "everyday")
-"""One that knows people who stand, one that knows people who walk."""
+SHIPPED = (_POLICIES / "navigation", _POLICIES / "polished_seed0")
+"""One that knows whatever people do, and one that knows people who stand, past whom it hurries more."""
 
 RECORDING = "empty"
 """The scene in which visitors record drives, which may become a training."""

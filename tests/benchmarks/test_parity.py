@@ -16,19 +16,19 @@ pytestmark = [
     pytest.mark.benchmark,
     pytest.mark.skipif(compiler() is None, reason="there is no C++ compiler"),
 ]
-NAVIGATION = Path(__file__).parents[2] / "recipes" / "policies" / "navigation"
+POLISHED = Path(__file__).parents[2] / "recipes" / "policies" / "polished_seed0"
 
 pytest.importorskip("onnxscript")
 
 
 @pytest.fixture(scope="module")
 def policy():
-    return load_policy(NAVIGATION)
+    return load_policy(POLISHED)
 
 
 @pytest.fixture(scope="module")
 def ways(policy, tmp_path_factory):
-    return parity.ways(policy, NAVIGATION, training_lidar(policy), tmp_path_factory.mktemp("ways"))
+    return parity.ways(policy, POLISHED, training_lidar(policy), tmp_path_factory.mktemp("ways"))
 
 
 def test_their_commands_are_the_same(policy, ways):

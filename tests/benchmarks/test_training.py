@@ -198,7 +198,7 @@ def test_units_run():
     cfg = units.config(*TINY)
     ours = units.Ours(cfg, units.transitions(200))
     ours.update()
-    deployed = units.load_policy(units.SHIPPED_POLICY)
+    deployed = units.load_policy(units.POLICY)
     names = [name for name in dir(units) if name.startswith("test_")]
     assert len(names) >= 7
     for name in names:

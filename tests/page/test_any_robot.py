@@ -85,7 +85,7 @@ def test_the_same_commands_as_policy_act_also_beyond_the_training(folder, robot,
 def test_a_page_drives_a_turtlebot_with_policies_of_any_robot_and_of_that_one(folder):
     page = contents([folder, *SHIPPED], ["showcase"], num_scenes=1)
     assert page["robot"] == dataclasses.asdict(TURTLEBOT2)
-    assert list(page["policies"]) == ["any", "navigation", "everyday"]
+    assert list(page["policies"]) == ["any", "navigation", "polished_seed0"]
     entry = page["policies"]["any"]
     assert entry["limits"]["speed"] == (0.0, TURTLEBOT2.max_speed)  # not that of the fastest
     assert entry["sensing"]["observe_robot"] and entry["sensing"]["observe_nobody"]
@@ -102,4 +102,4 @@ def test_a_policy_of_another_robot_is_refused_beside_them(folder, tmp_path):
 def test_who_was_trained_among_all_sorts_of_people_knows_who_walks_and_who_stands(tmp_path):
     folder = any_robot.save(tmp_path / "any", scene="everyday")
     page = contents([folder, *SHIPPED], ["showcase"], num_scenes=1)
-    assert [one["walking"] for one in page["policies"].values()] == [None, False, None]
+    assert [one["walking"] for one in page["policies"].values()] == [None, None, False]

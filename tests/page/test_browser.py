@@ -124,7 +124,7 @@ def test_a_link_carries_the_state(opened):
     page.locator("#weights input").nth(1).fill("60")
     link = copied(page)
     # People who walk are for the policy that was trained with them.
-    assert "policy=everyday" in link
+    assert "policy=polished_seed0" in link
     code = "[page.session.scene, page.session.policyName, page.session.preference.map((w) => Math.round(1000 * w))]"
     assert opened(link).evaluate(code) == page.evaluate(code)
 
@@ -139,7 +139,7 @@ def test_a_link_that_is_none_opens_the_page_and_says_so(opened):
 
 def test_a_person_walks_and_crosses(opened):
     page = opened("#scene=moving_human&seed=8")
-    assert page.evaluate("page.session.policyName") == "everyday"
+    assert page.evaluate("page.session.policyName") == "polished_seed0"
     before = page.evaluate("page.session.episode.human")
     drive(page, 10)
     after = page.evaluate("page.session.episode.human")

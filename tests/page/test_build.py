@@ -80,7 +80,7 @@ def test_the_page_is_one_small_file_of_data_and_program(tmp_path, capsys):
     assert not re.search(r"(src|href)=\"(?!data:)", text)  # nothing from elsewhere
     assert not re.search(r"/\*[A-Z]+\*/", text)
     held = json.loads(re.search(r'id="contents">(.*?)</script>', text, re.DOTALL)[1])
-    assert list(held["policies"]) == ["navigation", "everyday"]
+    assert list(held["policies"]) == ["navigation", "polished_seed0"]
     assert held["objectives"]["demo"]["color"] == "#d6336c"
     assert held["scenes"]["static"]["first_seed"] == 7
     assert held["scenes"]["empty"]["first_seed"] == 10_000  # recorded there: no seed of tests

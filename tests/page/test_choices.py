@@ -175,7 +175,7 @@ def test_the_same_answers_lead_to_the_same_questions_and_preference(tmp_path):
 def test_what_is_shown_is_what_was_driven(tmp_path):
     """The page drives the shipped policy itself: endings, times, distances and style of all scenes."""
     policy = load_policy(SHIPPED_POLICY)
-    setting = trained_in(policy.card)
+    setting = trained_in(policy.card).with_one_robot.with_one_human
     rows = [0, 30, 65]
     result = sweep(
         policy.actor,

@@ -189,17 +189,18 @@ def test_a_link_comes_back_and_nonsense_is_named(call):
 
 def test_a_preference_is_for_the_objectives_of_its_policy(call, page):
     """Whoever walks is met by the other policy. It keeps the preference, if it weighs the same objectives."""
-    assert call("motion", page, "walks") == ["everyday", [1, 0, 0]]
-    walking = page["policies"]["everyday"]
-    other = page["policies"] | {"everyday": {**walking, "static": {"core": 1, "demo": 1}}}
-    assert call("motion", {**page, "policies": other}, "walks") == ["everyday", [0.5, 0.5]]
+    walking = {**page["policies"]["navigation"], "walking": True}
+    policies = {"stands": page["policies"]["polished_seed0"], "walks": walking}
+    assert call("motion", {**page, "policies": policies}, "walks") == ["walks", [1, 0, 0]]
+    policies["walks"] = {**walking, "static": {"core": 1, "demo": 1}}
+    assert call("motion", {**page, "policies": policies}, "walks") == ["walks", [0.5, 0.5]]
 
 
 def test_a_policy_that_knows_who_walks_and_who_stands_goes_on_with_both(call, page):
-    both = {**page["policies"]["navigation"], "walking": None}
+    both = {**page["policies"]["polished_seed0"], "walking": None}
     for policies in (
-        {"both": both, "navigation": page["policies"]["navigation"]},
-        {"walks": {**page["policies"]["everyday"], "walking": True}, "both": both},
+        {"both": both, "polished_seed0": page["policies"]["polished_seed0"]},
+        {"walks": {**page["policies"]["navigation"], "walking": True}, "both": both},
     ):
         for motion in ("stands", "walks"):
             assert call("motion", {**page, "policies": policies}, motion)[0] == "both"

@@ -18,7 +18,7 @@ from torchrl_morl.testing import untrained_policy
 from ._messages import array, odometry, people, scan, stamped, transform
 
 SHIPPED = Path(__file__).resolve().parents[2] / "recipes" / "policies"
-POLICY = load_policy(SHIPPED / "navigation")
+POLICY = load_policy(SHIPPED / "polished_seed0")
 NOBODY = {"human_message": "none"}
 ARRAY, PEOPLE = HUMAN_MESSAGES[2:]
 

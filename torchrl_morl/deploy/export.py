@@ -1,6 +1,6 @@
 """Write a policy as one ONNX file: raw ranges, goal, human and preference in, m/s and rad/s out.
 
-    python -m torchrl_morl.deploy.export recipes/policies/navigation --onnx navigation.onnx
+    python -m torchrl_morl.deploy.export recipes/policies/navigation --onnx navigation.onnx --robot 0.177 0.5 3.14 6.28 4 0
     python -m torchrl_morl.deploy.export POLICY --onnx FILE --lidar -3.1416 0.017453 360 0.12 3.5
     python -m torchrl_morl.deploy.export POLICY --onnx FILE --runner onnx_runner.py
 

@@ -99,14 +99,22 @@ def model(tmp_path) -> Path:
 @pytest.mark.slow
 def test_from_the_command_line(model, tmp_path):
     output = tmp_path / "out"
-    arguments = ("--policies", SHIPPED / "navigation", "--noise", "0.1", "0.2", "--episodes", "3")
+    arguments = (
+        "--policies",
+        SHIPPED / "polished_seed0",
+        "--noise",
+        "0.1",
+        "0.2",
+        "--episodes",
+        "3",
+    )
     result = run("recipes.drex.landscape", model, *arguments, "--output", output)
     assert result.returncode == 0, result.stderr
     with (output / "landscape.csv").open() as file:
         rows = list(csv.DictReader(file))
     drivers = [row["driver"] for row in rows]
     assert drivers[0] == "demonstrator"
-    assert drivers[-1] == "navigation"
+    assert drivers[-1] == "polished_seed0"
     assert len(rows) == len(landscape.RADII) + 6
     assert {row["noise_turn"] for row in rows} == {"0.2"}
     # R starts at a half everywhere.

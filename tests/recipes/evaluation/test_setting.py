@@ -16,7 +16,7 @@ from envs import get_robot
 from recipes.evaluation.setting import choose, demonstrator, scene_seed, trained_in
 from recipes.results.systems import load_system
 
-SHIPPED = Path(recipes.evaluate.__file__).parent / "policies" / "navigation"
+SHIPPED = Path(recipes.evaluate.__file__).parent / "policies" / "polished_seed0"
 MISTAKES = [
     ({"config": {"env": {"goal_radius": -1}}}, "config.env.goal_radius must be a number of metres"),
     ({"config": {"env": {"goal_radius": "0.3"}}}, "config.env.goal_radius must be .* got '0.3'"),

@@ -67,7 +67,7 @@ def test_the_policy_for_everything_goes_on_in_a_scene_of_ones_own(tmp_path, monk
     folder = tmp_path / "run"
     own = (f"env.scene={scene}", "evaluation.scene=corridor", f"hydra.run.dir={folder}")
     run_here(mo_ppo.main, "preset=further", *TINY, *own)
-    before = load_policy("recipes/policies/everyday")
+    before = load_policy("recipes/policies/navigation")
     after = load_policy(folder / "policies" / "000000128")
     assert after.sensing == before.sensing
     # So few steps change it, and hardly.

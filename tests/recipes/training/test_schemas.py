@@ -26,12 +26,12 @@ RECIPES = {
     "td3": (TD3Config, "td3", "scalarized"),
     "sac": (SACConfig, "sac", "scalarized"),
 }
-NAVIGATION = str(ROOT / "policies" / "navigation")
+POLISHED = str(ROOT / "policies" / "polished_seed0")
 
 
 def configuration(recipe: str, *overrides: str) -> dict:
     _, name, folder = RECIPES[recipe]
-    given = [f"policy={NAVIGATION}"] if recipe == "mo_ppo" else []
+    given = [f"policy={POLISHED}"] if recipe == "mo_ppo" else []
     with initialize_config_dir(str(ROOT / folder), version_base="1.3"):
         cfg = compose(name, overrides=[*given, *overrides])
     return OmegaConf.to_container(cfg, resolve=True)

@@ -21,7 +21,7 @@ from std_msgs.msg import Float64MultiArray
 from torchrl_morl_ros.simulated_robot import SimulatedRobot
 
 ROOT = Path(__file__).resolve().parents[3]
-POLICY = ROOT / "recipes" / "policies" / "navigation"
+POLICY = ROOT / "recipes" / "policies" / "polished_seed0"
 STARTS = 240.0
 """Seconds that a node may take to start on a busy machine: it imports PyTorch."""
 

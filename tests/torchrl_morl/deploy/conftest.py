@@ -19,7 +19,7 @@ def exported(tmp_path_factory) -> Path:
     """The shipped policy as an ONNX file, for ``LIDAR``."""
     pytest.importorskip("onnxscript")
     file = tmp_path_factory.mktemp("onnx") / "navigation.onnx"
-    return export_onnx(load_policy(POLICIES / "navigation"), file, lidar=LIDAR)
+    return export_onnx(load_policy(POLICIES / "polished_seed0"), file, lidar=LIDAR)
 
 
 @pytest.fixture(scope="session")

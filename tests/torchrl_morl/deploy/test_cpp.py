@@ -27,7 +27,7 @@ from ._stops import LIDAR, STOPS, step
 
 ROOT = Path(__file__).parents[3]
 POLICIES = ROOT / "recipes" / "policies"
-NAVIGATION = POLICIES / "navigation"
+POLISHED = POLICIES / "polished_seed0"
 LIDARS = {
     "ahead": LIDAR,
     "clockwise": LidarGeometry(2.35, -math.pi / 360, 541, 0.1, 10.0),
@@ -41,13 +41,13 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture
 def runner(cpp_library) -> Iterator[CppRunner]:
-    made = CppRunner(cpp_library, NAVIGATION, lidar=LIDAR)
+    made = CppRunner(cpp_library, POLISHED, lidar=LIDAR)
     yield made
     made.close()
 
 
 @pytest.mark.parametrize("lidar", LIDARS.values(), ids=LIDARS)
-@pytest.mark.parametrize("name", ["navigation", "walking", "hsr"])
+@pytest.mark.parametrize("name", ["polished_seed0", "walking", "hsr"])
 def test_its_commands_are_those_of_the_runner(cpp_library, policy_folders, name, lidar):
     folder = policy_folders[name]
     ours = PolicyRunner(load_policy(folder), lidar=lidar)
@@ -100,8 +100,8 @@ def test_velocities_come_from_odometry(cpp_library, policy_folders):
 
 @pytest.mark.parametrize("limits", LIMITS)
 def test_limits_of_ones_own(cpp_library, limits):
-    ours = PolicyRunner(load_policy(NAVIGATION), lidar=LIDAR, **limits)
-    check_limits(ours, CppRunner(cpp_library, NAVIGATION, lidar=LIDAR, **limits))
+    ours = PolicyRunner(load_policy(POLISHED), lidar=LIDAR, **limits)
+    check_limits(ours, CppRunner(cpp_library, POLISHED, lidar=LIDAR, **limits))
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS.values(), ids=ACTIVATIONS)
@@ -207,7 +207,7 @@ def header(text: str) -> bytes:
 )
 def test_files_that_are_refused(cpp_library, tmp_path, change, message):
     folder = tmp_path / "policy"
-    shutil.copytree(NAVIGATION, folder)
+    shutil.copytree(POLISHED, folder)
     change(folder)
     with pytest.raises(ValueError, match=message.replace("(", r"\(")) as found:
         CppRunner(cpp_library, folder, lidar=LIDAR)
@@ -224,7 +224,7 @@ def test_files_that_are_refused(cpp_library, tmp_path, change, message):
 )
 def test_arguments_that_are_refused(cpp_library, lidar, options, message):
     with pytest.raises(ValueError, match=message):
-        CppRunner(cpp_library, NAVIGATION, lidar=lidar, **options)
+        CppRunner(cpp_library, POLISHED, lidar=lidar, **options)
 
 
 # --- the example ----------------------------------------------------------------------------------
@@ -239,15 +239,15 @@ def test_the_example_drives_to_its_goal_and_names_mistakes(tmp_path):
         )
 
     paths = {}
-    for name in ("navigation", "everyday"):
+    for name in ("polished_seed0", "navigation"):
         for preference in ("0 1 0", "0 0 1"):
             run = drive(str(POLICIES / name), *preference.split())
             assert run.returncode == 0 and "goal reached" in run.stdout, run.stdout
             paths[name, preference] = run.stdout
-    assert paths["navigation", "0 1 0"] != paths["navigation", "0 0 1"]
-    assert "preference must have 3 entries, got 2" in drive(str(NAVIGATION), "1", "0").stdout
+    assert paths["polished_seed0", "0 1 0"] != paths["polished_seed0", "0 0 1"]
+    assert "preference must have 3 entries, got 2" in drive(str(POLISHED), "1", "0").stdout
     for weight in ("0.5x", "half", ""):
-        wrong = drive(str(NAVIGATION), "0", "0.5", weight)
+        wrong = drive(str(POLISHED), "0", "0.5", weight)
         assert wrong.returncode == 2
         assert wrong.stderr == f"drive: error: WEIGHT must be a number, got '{weight}'\n"
     mistake = drive(str(ROOT))
@@ -263,7 +263,7 @@ def test_the_program_of_the_page_commands_what_the_runner_does(tmp_path):
     program = build(str(tmp_path / "page.cpp"), tmp_path / "page", f"-I{SOURCES}")
     run = subprocess.run([str(program)], cwd=ROOT, capture_output=True, text=True, timeout=60)
     lidar = LidarGeometry(-math.pi, math.pi / 180, 360, 0.12, 3.5, mount=(0.05, 0.0, 0.0))
-    expected = PolicyRunner(load_policy(NAVIGATION), lidar=lidar).step(
+    expected = PolicyRunner(load_policy(POLISHED), lidar=lidar).step(
         np.full(360, 2.0),
         goal=(6.0, 0.3),
         human=(2.5, -0.4),

@@ -17,7 +17,7 @@ from torchrl_morl.deploy import PolicyRunner, load_policy
 
 from ._alike import LIMITS, check_command, check_velocities, drive
 from ._stops import LIDAR, step
-from .test_cpp import LIDARS, NAVIGATION
+from .test_cpp import LIDARS, POLISHED
 
 pytestmark = pytest.mark.skipif(
     compiler() is None, reason="there is no C++ compiler: install g++ or clang++"
@@ -140,14 +140,14 @@ def test_how_the_robot_moves(cpp_library, tmp_path):
             "robot must be finite, got 0.25, 0.7, 2, 4.7, 8, inf",
         ),
         (
-            "navigation",
+            "polished_seed0",
             any_robot.ROBOT,
             "this policy does not read robot, sensing.observe_robot is",
         ),
     ],
 )
 def test_robots_that_are_refused(cpp_library, of_any_robot, folder, robot, message):
-    folder = of_any_robot if folder == "any" else NAVIGATION
+    folder = of_any_robot if folder == "any" else POLISHED
     with pytest.raises(ValueError, match=re.escape(message)) as found:
         CppRunner(cpp_library, folder, lidar=LIDAR, robot=robot)
     assert len(str(found.value).splitlines()) == 1

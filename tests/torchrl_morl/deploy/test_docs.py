@@ -28,11 +28,11 @@ def test_every_reason_is_explained():
 
 
 def test_the_numbers_are_those_of_the_policies():
-    sensing = load_policy(ROOT / "recipes/policies/navigation").sensing
+    sensing = load_policy(ROOT / "recipes/policies/polished_seed0").sensing
     assert sensing.nobody[0] == 4.0 and sensing.goal_range[1] == 12.0
     assert sensing.human_range[1] == 8.0 and sensing.unknown_range == sensing.max_range
-    everyday = load_policy(ROOT / "recipes/policies/everyday").sensing
-    assert everyday.goal_range[1] == everyday.human_range[1] == 15.0
+    navigation = load_policy(ROOT / "recipes/policies/navigation").sensing
+    assert navigation.goal_range[1] == navigation.human_range[1] == 15.0
 
 
 def test_what_it_names_exists():

@@ -66,7 +66,7 @@ def test_sectors_are_those_of_the_lidar(lidar, number):
         np.testing.assert_allclose(found, np.where(np.isnan(expected), 3.0, expected), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["navigation", "walking"])
+@pytest.mark.parametrize("name", ["polished_seed0", "walking"])
 @pytest.mark.parametrize("lidar", LIDARS.values(), ids=LIDARS)
 def test_its_commands_are_those_of_the_runner(policy_folders, name, lidar):
     policy = load_policy(policy_folders[name])
@@ -108,7 +108,7 @@ def test_the_lidar_of_the_training_is_that_of_the_environment():
     from envs.policy_env import lidar_geometry
 
     env = NavigationEnv(num_envs=1, seed=0, num_threads=1)
-    ours, theirs = training_lidar(load_policy(POLICIES / "navigation")), lidar_geometry(env)
+    ours, theirs = training_lidar(load_policy(POLICIES / "polished_seed0")), lidar_geometry(env)
     env.close()
     assert ours == theirs
 

@@ -16,7 +16,7 @@ from torchrl_morl.testing import untrained_policy
 from ._hub_server import FakeHub
 
 ROOT = Path(__file__).parents[3]
-NAVIGATION = ROOT / "recipes" / "policies" / "navigation"
+POLISHED = ROOT / "recipes" / "policies" / "polished_seed0"
 FILM = ROOT / "docs" / "images" / "sweep.gif"
 NAMES = ("policy.json", "policy.safetensors")
 
@@ -35,7 +35,7 @@ def hub(tmp_path, monkeypatch):
 @pytest.fixture
 def there(hub) -> FakeHub:
     """A hub that has the shipped policy, and beside it what nobody should open."""
-    hub.repos["me/navigation"] = {name: (NAVIGATION / name).read_bytes() for name in NAMES}
+    hub.repos["me/navigation"] = {name: (POLISHED / name).read_bytes() for name in NAMES}
     hub.repos["me/navigation"]["pytorch_model.bin"] = b"a pickle"
     hub.repos["me/navigation"]["nested/policy.json"] = b"another"
     return hub
@@ -43,7 +43,7 @@ def there(hub) -> FakeHub:
 
 def test_up_and_down_again(hub, tmp_path):
     given = {"endpoint": hub.endpoint, "token": "hf_nothing"}
-    url = push_to_hub(NAVIGATION, "me/navigation", film=FILM, license="mit", **given)
+    url = push_to_hub(POLISHED, "me/navigation", film=FILM, license="mit", **given)
     assert url == f"{hub.endpoint}/me/navigation"
     files = hub.repos["me/navigation"]
     assert files.keys() == {*NAMES, "README.md", "film.gif"}
@@ -56,13 +56,13 @@ def test_up_and_down_again(hub, tmp_path):
     folder = from_hub("me/navigation", cache_dir=tmp_path, endpoint=hub.endpoint)
     assert sorted(path.name for path in folder.iterdir()) == sorted(NAMES)
     for name in NAMES:
-        assert (folder / name).read_bytes() == (NAVIGATION / name).read_bytes()
+        assert (folder / name).read_bytes() == (POLISHED / name).read_bytes()
     assert load_policy(folder).robot == "turtlebot2"
 
 
 def test_a_card_that_is_there_stays(there):
     there.repos["me/navigation"]["README.md"] = b"mine"
-    push_to_hub(NAVIGATION, "me/navigation", endpoint=there.endpoint, token="hf_nothing")
+    push_to_hub(POLISHED, "me/navigation", endpoint=there.endpoint, token="hf_nothing")
     assert there.repos["me/navigation"]["README.md"] == b"mine"
 
 
@@ -94,7 +94,7 @@ def test_without_a_network_it_comes_from_the_cache(there, tmp_path):
 
 
 def test_a_folder_is_a_policy_as_well():
-    assert from_hub(str(NAVIGATION)) == NAVIGATION
+    assert from_hub(str(POLISHED)) == POLISHED
 
 
 def test_what_was_changed_on_the_way_is_refused(there, tmp_path):
@@ -131,10 +131,10 @@ def test_downloads_that_are_refused(there, tmp_path, name, given, error, message
     ("folder", "given", "error", "message"),
     [
         (ROOT / "recipes", {}, FileNotFoundError, "a policy is a folder with"),
-        (NAVIGATION, {"film": "film.exe"}, ValueError, "film must be one of .gif, .mp4, .webm"),
-        (NAVIGATION, {"film": "no.gif"}, FileNotFoundError, "film no.gif not found"),
-        (NAVIGATION, {"license": "MIT, mine"}, ValueError, "license must be a name such as"),
-        (NAVIGATION, {"repo_id": "a b"}, ValueError, "repo_id must be NAME/POLICY"),
+        (POLISHED, {"film": "film.exe"}, ValueError, "film must be one of .gif, .mp4, .webm"),
+        (POLISHED, {"film": "no.gif"}, FileNotFoundError, "film no.gif not found"),
+        (POLISHED, {"license": "MIT, mine"}, ValueError, "license must be a name such as"),
+        (POLISHED, {"repo_id": "a b"}, ValueError, "repo_id must be NAME/POLICY"),
     ],
 )
 def test_uploads_that_are_refused_reach_no_server(hub, folder, given, error, message):
@@ -147,13 +147,13 @@ def test_uploads_that_are_refused_reach_no_server(hub, folder, given, error, mes
 
 def test_a_server_that_is_not_there_is_one_line():
     with pytest.raises(OSError, match=r"me/mine on http://127\.0\.0\.1:9: ") as found:
-        push_to_hub(NAVIGATION, "me/mine", endpoint="http://127.0.0.1:9", token="hf_nothing")
+        push_to_hub(POLISHED, "me/mine", endpoint="http://127.0.0.1:9", token="hf_nothing")
     assert len(str(found.value).splitlines()) == 1
 
 
 def test_a_missing_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    for call in (lambda: from_hub("me/mine"), lambda: push_to_hub(NAVIGATION, "me/mine")):
+    for call in (lambda: from_hub("me/mine"), lambda: push_to_hub(POLISHED, "me/mine")):
         with pytest.raises(
             ImportError, match=r"huggingface_hub: pip install 'torchrl-morl\[hub\]'"
         ):
@@ -161,7 +161,7 @@ def test_a_missing_extra_is_named(monkeypatch):
 
 
 def test_a_card_without_an_evaluation_has_no_table_of_it():
-    policy = load_policy(NAVIGATION)
+    policy = load_policy(POLISHED)
     for evaluation in (None, 3, {"preferences": ["a"], "success": ["b"]}, {"preferences": 1}):
         policy.card["evaluation"] = evaluation
         assert "## Evaluation" not in model_card(policy, "me/mine")

@@ -43,7 +43,7 @@ def run(file: Path, readings: dict[str, np.ndarray]) -> np.ndarray:
 
 @pytest.mark.parametrize("batch", [1, 7, 500])
 def test_commands_are_those_of_the_policy_in_a_batch_of_any_size(exported, batch):
-    policy = load_policy(POLICIES / "navigation")
+    policy = load_policy(POLICIES / "polished_seed0")
     readings = sensor_readings(policy, LIDAR, batch, seed=batch)
     found = run(exported, readings)
     assert found.shape == (batch, 2)
@@ -87,7 +87,7 @@ def test_the_file_is_one_file_of_standard_operators(exported):
 def test_what_it_tells_of_itself(exported):
     model = onnx.load(str(exported))
     told = {one.key: json.loads(one.value) for one in model.metadata_props}
-    folder = POLICIES / "navigation"
+    folder = POLICIES / "polished_seed0"
     config = json.loads((folder / "policy.json").read_text())
     assert told["torchrl_morl_format"] == 1
     for name in ("objectives", "static", "sensing", "limits", "period", "robot", "card"):
@@ -184,7 +184,7 @@ def test_the_command_writes_the_file_and_the_runner(tmp_path, capsys, monkeypatc
     monkeypatch.setattr("torchrl_morl.deploy.export.export_onnx", export)
     file, runner = tmp_path / "a.onnx", tmp_path / "onnx_runner.py"
     lidar = ["--lidar", "-3.1416", "0.017453", "360", "0.12", "3.5", "--mount", "0.05", "0", "-0.1"]
-    main([str(POLICIES / "navigation"), "--onnx", str(file), "--runner", str(runner), *lidar])
+    main([str(POLICIES / "polished_seed0"), "--onnx", str(file), "--runner", str(runner), *lidar])
     mount = (0.05, 0.0, -0.1)
     assert given == [("turtlebot2", LidarGeometry(-3.1416, 0.017453, 360, 0.12, 3.5, mount))]
     source = Path(onnx_export.__file__).with_name("onnx_runner.py")
@@ -194,32 +194,32 @@ def test_the_command_writes_the_file_and_the_runner(tmp_path, capsys, monkeypatc
     assert "preference: demo, distance, efficiency; a step every 0.2 s" in printed
 
 
-NAVIGATION = str(POLICIES / "navigation")
+POLISHED = str(POLICIES / "polished_seed0")
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["nowhere", "--onnx", "a.onnx"], "a policy is a folder with"),
-        ([NAVIGATION], "the following arguments are required: --onnx"),
-        ([NAVIGATION, "--onnx", "no/a.onnx"], "there is no folder no: make it first"),
-        ([NAVIGATION, "--onnx", "a.onnx", "--mount", "0", "0", "0"], "give --lidar as well"),
+        ([POLISHED], "the following arguments are required: --onnx"),
+        ([POLISHED, "--onnx", "no/a.onnx"], "there is no folder no: make it first"),
+        ([POLISHED, "--onnx", "a.onnx", "--mount", "0", "0", "0"], "give --lidar as well"),
         (
-            [NAVIGATION, "--onnx", "a.onnx", "--lidar", "0", "x", "360", "0.1", "3"],
+            [POLISHED, "--onnx", "a.onnx", "--lidar", "0", "x", "360", "0.1", "3"],
             "--lidar 0 x 360 0.1 3: must be numbers, and NUM_BEAMS a whole one",
         ),
         (
-            [NAVIGATION, "--onnx", "a.onnx", "--lidar", "0", "1", "360", "0.1", "3"],
+            [POLISHED, "--onnx", "a.onnx", "--lidar", "0", "1", "360", "0.1", "3"],
             "--lidar 0 1 360 0.1 3: 360 beams every 1 rad are more than a revolution",
         ),
         (
-            [NAVIGATION, "--onnx", "a.onnx", "--lidar", "0", "0.01", "36", "4", "3"],
+            [POLISHED, "--onnx", "a.onnx", "--lidar", "0", "0.01", "36", "4", "3"],
             "range_min must be between 0 and range_max, 3, got 4.0",
         ),
-        ([NAVIGATION, "--onnx", "a.onnx", "--runner", "a.onnx"], "is the file of --onnx"),
-        ([NAVIGATION, "--onnx", "a.onnx", "--runner", "there.py"], "exists and is not overwritten"),
-        ([NAVIGATION, "--onnx", "a.onnx", "--runner", "no/r.py"], "there is no folder no"),
-        ([NAVIGATION, "--onnx", "there.py"], "exists and is not overwritten"),
+        ([POLISHED, "--onnx", "a.onnx", "--runner", "a.onnx"], "is the file of --onnx"),
+        ([POLISHED, "--onnx", "a.onnx", "--runner", "there.py"], "exists and is not overwritten"),
+        ([POLISHED, "--onnx", "a.onnx", "--runner", "no/r.py"], "there is no folder no"),
+        ([POLISHED, "--onnx", "there.py"], "exists and is not overwritten"),
     ],
 )
 def test_mistakes_of_the_command_are_one_line(tmp_path, capsys, monkeypatch, arguments, message):

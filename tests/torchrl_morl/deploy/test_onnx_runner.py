@@ -53,10 +53,10 @@ def test_what_is_wrong_with_a_preference_is_named(exported):
     assert "preference of 'demo' must be finite and >= 0, got nan" in found[3]
 
 
-@pytest.mark.parametrize("name", ["navigation", "walking"])
+@pytest.mark.parametrize("name", ["polished_seed0", "walking"])
 def test_its_commands_are_those_of_the_runner(policy_folders, name, exported, exported_walking):
     ours = PolicyRunner(load_policy(policy_folders[name]), lidar=LIDAR)
-    drive(ours, OnnxRunner(exported if name == "navigation" else exported_walking), LIDAR, 200)
+    drive(ours, OnnxRunner(exported if name == "polished_seed0" else exported_walking), LIDAR, 200)
 
 
 def test_velocities_come_from_odometry(policy_folders, exported_walking):
@@ -66,7 +66,7 @@ def test_velocities_come_from_odometry(policy_folders, exported_walking):
 
 @pytest.mark.parametrize("limits", LIMITS)
 def test_limits_of_ones_own(exported, limits):
-    ours = PolicyRunner(load_policy(POLICIES / "navigation"), lidar=LIDAR, **limits)
+    ours = PolicyRunner(load_policy(POLICIES / "polished_seed0"), lidar=LIDAR, **limits)
     check_limits(ours, OnnxRunner(exported, **limits))
 
 
@@ -129,7 +129,10 @@ def test_the_file_works_alone(exported, tmp_path):
     assert run.returncode == 0, run.stderr
     reason, *numbers = run.stdout.split()
     expected = step(
-        PolicyRunner(load_policy(POLICIES / "navigation"), lidar=LIDAR), 0.0, human=None, stamp=0.0
+        PolicyRunner(load_policy(POLICIES / "polished_seed0"), lidar=LIDAR),
+        0.0,
+        human=None,
+        stamp=0.0,
     )
     assert reason == "drive"
     expected = (expected.speed, expected.turn_rate)

@@ -26,7 +26,7 @@ POLICIES = Path(__file__).parents[3] / "recipes" / "policies"
 
 @pytest.fixture(scope="module")
 def policy():
-    return load_policy(POLICIES / "navigation")
+    return load_policy(POLICIES / "polished_seed0")
 
 
 def inputs(*batch: int) -> dict[str, np.ndarray]:
@@ -51,7 +51,7 @@ def test_the_action_is_that_of_the_network_in_physical_units(policy):
     np.testing.assert_allclose(policy.act(**given), expected, atol=2e-6)
 
 
-@pytest.mark.parametrize("name", ["navigation", "our_nh", "walking", "hsr"])
+@pytest.mark.parametrize("name", ["polished_seed0", "our_nh", "walking", "hsr"])
 def test_features_are_those_of_the_environment(policy_folders, name):
     policy = load_policy(policy_folders[name])
     sensing = policy.sensing
@@ -262,7 +262,7 @@ def test_what_traces_an_actor_looks_at_no_values(policy):
 
 
 def test_a_training_takes_an_actor_that_looks_at_no_values():
-    actor = load_policy(POLICIES / "navigation", check_preferences=False).actor
+    actor = load_policy(POLICIES / "polished_seed0", check_preferences=False).actor
     assert actor(torch.randn(4, 36), torch.zeros(4, 3))[1].isfinite().all()
 
 
@@ -302,7 +302,7 @@ def test_a_policy_that_reads_the_velocity_asks_for_it(policy_folders):
 
 def test_weights_of_1e30_do_not_command(policy, tmp_path):
     """They are finite, what comes out is not."""
-    huge = load_policy(POLICIES / "navigation")
+    huge = load_policy(POLICIES / "polished_seed0")
     for value in huge.actor.parameters():
         value.mul_(1e30)
     with pytest.raises(ValueError, match="the policy's command is not finite"):
@@ -321,18 +321,22 @@ def test_weights_of_1e30_do_not_command(policy, tmp_path):
             "this policy reads the human's velocity: observe_human_velocity=True",
         ),
         (
-            "navigation",
+            "polished_seed0",
             {"observe_human_velocity": True},
             "this policy does not read the human's velocity: observe_human_velocity=False",
         ),
         ("our_nh", {}, "this policy does not read where the human is: observe_human=False"),
-        ("navigation", {"observe_human": False}, "reads where the human is: observe_human=True"),
         (
-            "navigation",
+            "polished_seed0",
+            {"observe_human": False},
+            "reads where the human is: observe_human=True",
+        ),
+        (
+            "polished_seed0",
             {"max_range": 2.0},
             "trained with max_range=4.0, this environment has 2.0: set max_range=4.0",
         ),
-        ("navigation", {"max_range": 10}, "set max_range=4.0"),
+        ("polished_seed0", {"max_range": 10}, "set max_range=4.0"),
     ],
 )
 @pytest.mark.parametrize("make", [make_policy_env, NavigationGymEnv])

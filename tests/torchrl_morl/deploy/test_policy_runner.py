@@ -22,7 +22,7 @@ NAN, INF = math.nan, math.inf
 
 @pytest.fixture(scope="module")
 def policy():
-    return load_policy(POLICIES / "navigation")
+    return load_policy(POLICIES / "polished_seed0")
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +215,7 @@ def test_a_velocity_that_is_missing_is_asked_for(walking):
 
 @pytest.mark.parametrize(
     ("name", "scene"),
-    [("navigation", "static"), ("walking", "mixed"), ("hsr", "exploring")],
+    [("polished_seed0", "static"), ("walking", "mixed"), ("hsr", "exploring")],
 )
 def test_the_runner_commands_what_the_actor_does_in_the_environment(policy_folders, name, scene):
     """Same scans, same commands: the features of training and robot are one implementation."""
