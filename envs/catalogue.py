@@ -80,19 +80,18 @@ _ONE_OF_A_RANGE = ("towards_0.5", "towards_1.0", "crossing_0.5", "crossing_1.0",
 _OFTEN = {
     "crossing": 5.0,
     "towards": 3.0,
-    "two_people": 5.0,
+    "two_people": 4.0,
     "standing_up": 2.0,
-    "overtaking": 3.0,
+    "overtaking": 2.0,
     "pocket": 2.0,
     "wall": 2.0,
     "doorway": 2.0,
-    "near_goal": 2.0,
 }
 
 EVERYDAY = mixture(
     "everyday",
     [(one, _OFTEN.get(name, 1.0)) for name, one in MET.items() if name not in _ONE_OF_A_RANGE]
-    + [(EXPLORING, 4.0), (CORRIDOR, 2.0)],
+    + [(EXPLORING, 4.0)],
 )
 """Training for all of them: one of :data:`MET` in each episode; ``exploring``, people who cross or come
 towards the robot, pockets, walls and doorways more often than the others."""
