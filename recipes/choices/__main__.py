@@ -27,13 +27,14 @@ import torch
 
 from envs import SCENES, get_scene
 from torchrl_morl.choices import PreferencePosterior
+from torchrl_morl.deploy import load_policy
 
 from ..arguments import Parser, count, existing_folder, seed
 from ..evaluation.setting import scene_seed
 from ..evaluation.sweep import SHIPPED_POLICY, Sweep
 from ..outputs import claim_folder
 from .dialogue import KEYS, POSTERIOR, Dialogue
-from .rollouts import DRIVES, NUM_SCENES, SEED, obtain
+from .rollouts import DRIVES, NUM_SCENES, SEED, obtain, usual_scene
 
 SETTING = "setting.json"
 COMMANDS = "1 left, 2 right, = same, n neither, u undo, s skip, q stop"
@@ -73,7 +74,7 @@ def main() -> None:
         "--scene",
         nargs="+",
         help=f"{', '.join(SCENES)}, or .yaml files; each has a preference of its own (default: that of "
-        "the training)",
+        "the training, or static where people there have ways of their own)",
     )
     parser.add_argument(
         "--scenes", type=count(2, 1000), default=NUM_SCENES, help="scenes of each kind"
@@ -144,7 +145,7 @@ def started(args: Namespace) -> Dialogue:
         raise ValueError(f"--scene {' '.join(args.scene)} names a scene twice: {', '.join(names)}.")
     setting = {
         "policy": str(args.policy),
-        "scene": args.scene or [None],
+        "scene": args.scene or [usual_scene(load_policy(args.policy).card)],
         "scenes": args.scenes,
         "seed": args.seed,
         "question_seed": args.question_seed,

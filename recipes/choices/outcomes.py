@@ -26,7 +26,17 @@ from torchrl_morl.transforms import PreferenceSampler
 from ..arguments import Parser
 from ..evaluation.setting import Setting, trained_in
 from ..evaluation.sweep import SHIPPED_POLICY
-from .rollouts import DRIVES, NUM_SCENES, SEED, Request, arrived, described, joint_outcomes, obtain
+from .rollouts import (
+    DRIVES,
+    NUM_SCENES,
+    SEED,
+    Request,
+    arrived,
+    described,
+    joint_outcomes,
+    obtain,
+    usual_scene,
+)
 
 SHIPPED = Path(__file__).with_name("navigation_outcomes.safetensors")
 _SCENES = ("start", "goal", "human", "human_goal", "boxes")
@@ -74,11 +84,11 @@ def outcomes_of(policy_folder: Path, *, drives: Path = DRIVES) -> Outcomes:
 
 
 def _driven(policy_folder: Path, drives: Path) -> Outcomes:
-    trained = trained_in(load_policy(policy_folder).card)
-    setting = trained.with_one_robot.with_one_human
-    # None is the scene of the training, which may come from a file.
-    scene = None if setting.scene == trained.scene else setting.scene.name
-    result, _ = obtain(policy_folder, scene, scenes=NUM_SCENES, seed=SEED, folder=drives)
+    card = load_policy(policy_folder).card
+    setting = trained_in(card).with_one_robot.with_one_human
+    result, _ = obtain(
+        policy_folder, usual_scene(card), scenes=NUM_SCENES, seed=SEED, folder=drives
+    )
     start = first_moments(policy_folder, setting)
     scenes = {
         "start": start["pose"],

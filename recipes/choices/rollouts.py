@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 import tqdm
@@ -19,7 +21,7 @@ from torchrl_morl.deploy import load_policy
 from torchrl_morl.deploy.files import file_checksum
 from torchrl_morl.preferences import PreferenceSpace
 
-from ..evaluation.setting import Setting, choose, demonstrator
+from ..evaluation.setting import Setting, choose, demonstrator, trained_in
 from ..evaluation.sweep import Sweep, sweep
 from ..objectives import DEMO, PERSONAL_SPACE, known
 
@@ -59,6 +61,23 @@ class Request:
         kind = self.setting.split(",")[0].removeprefix("scene ").replace("/", "_")
         name = f"{self.policy[:8]}_{kind}_{self.scenes}_seed{self.seed}_{self.divisions}"
         return folder / f"{name}.safetensors"
+
+
+def usual_scene(card: Mapping[str, Any]) -> str | None:
+    """Where one is asked when nothing else is said: ``None``, the scene of the training, if it has one human.
+
+    Else ``static``: paths do not show who walked where, and where nobody stands nothing was demonstrated.
+
+    Args:
+        card: of the policy.
+
+    Example:
+        >>> usual_scene({"config": {"evaluation": {"scene": "everyday"}}})
+        'static'
+    """
+    trained = trained_in(card)
+    scene = trained.with_one_human.scene
+    return None if scene == trained.scene else scene.name
 
 
 def obtain(

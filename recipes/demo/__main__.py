@@ -51,7 +51,8 @@ def main() -> None:
                 f"{args.policy} weighs {policy.preference_space.tunable[0]} alone: a demo of preferences "
                 "needs a policy of two objectives or more."
             )
-        setting = trained_in(policy.card).with_one_robot
+        # Who walks was not part of what was demonstrated, and no path shows where they were.
+        setting = trained_in(policy.card).with_one_robot.with_one_human
         shown = demonstrator(policy.card, setting.robot)
         gl_context_type()  # without it there is no film: better said now than at the end
         output = claim_folder(args.output, Path("runs/demo"))
