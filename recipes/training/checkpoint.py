@@ -31,6 +31,8 @@ from torchrl.collectors import Collector
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.envs import Transform, TransformedEnv
 
+from .validation import ConfigurationError
+
 _UNFIT = (
     *(CheckpointError, OSError, RuntimeError, ValueError, LookupError, TypeError),
     *(AttributeError, ArithmeticError, AssertionError),
@@ -331,10 +333,10 @@ def check_frames_left(cfg: DictConfig, frames: int) -> None:
     """Refuse to go on with a training that is over, unless it is given more frames.
 
     Raises:
-        ValueError: if nothing is left to be done.
+        ConfigurationError: if nothing is left to be done.
     """
     if frames >= cfg.collector.total_frames:
-        raise ValueError(
+        raise ConfigurationError(
             f"resume={cfg.resume} has seen {frames} frames already: collector.total_frames must be "
             f"greater, got {cfg.collector.total_frames}."
         )

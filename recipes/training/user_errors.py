@@ -50,8 +50,9 @@ def error_line(
     if isinstance(error, OSError):
         return f"{_os_line(error, run_dir, begun=begun)}{further}", FAILED if begun else REFUSED
     if isinstance(error, ValueError | ImportError):
-        hint = "; --debug shows where" if begun else ""
-        return f"{_one_line(error)}{hint}{further}", FAILED if begun else REFUSED
+        if not begun:
+            return _one_line(error), REFUSED
+        return f"{_one_line(error).rstrip('.')}; --debug shows where{further}", FAILED
     return None, FAILED
 
 

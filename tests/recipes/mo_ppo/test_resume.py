@@ -14,6 +14,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 
 from recipes.mo_ppo import mo_ppo
 from recipes.training.checkpoint import SafeStateAdapter
+from recipes.training.validation import ConfigurationError
 from tests._mo_ppo import go_on, run, small_policy
 from torchrl_morl.deploy import load_policy
 
@@ -178,7 +179,7 @@ def test_all_that_a_checkpoint_holds_is_safe_to_read(begun):
 
 def test_refuses_to_resume_what_is_done(begun):
     files = {path: path.read_bytes() for path in begun.rglob("*") if path.is_file()}
-    with pytest.raises(ValueError, match="has seen 128 frames already"):
+    with pytest.raises(ConfigurationError, match="has seen 128 frames already"):
         go_on(begun)
     after = {path: path.read_bytes() for path in begun.rglob("*") if path.is_file()}
     changed = {path.relative_to(begun).parts[0] for path in after if after[path] != files.get(path)}

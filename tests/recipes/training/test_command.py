@@ -237,6 +237,7 @@ def write_and_raise(error: BaseException):
         ),
         (OSError(30, "Read-only file system", "out/x"), ["out/x: Read-only file system: choose"]),
         (ValueError("actions must be finite"), ["actions must be finite; --debug shows where"]),
+        (ValueError("they must not differ."), ["they must not differ; --debug shows where"]),
     ],
 )
 def test_what_fails_while_it_runs_is_one_line_and_keeps_what_is_written(
