@@ -19,6 +19,7 @@ import numpy as np
 import torch
 import tqdm
 
+from benchmarks import POLICY
 from envs import NavigationEnv
 from envs.lidar import MIN_RANGE, Lidar
 from envs.robots import Robot, get_robot
@@ -28,7 +29,6 @@ from recipes.arguments import Parser, episodes
 from recipes.evaluation.setting import scene_seed
 from torchrl_morl.deploy import LidarGeometry, Policy, PolicyRunner, load_policy
 
-POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "polished_seed0"
 FULL = 2 * math.pi
 FAR_AWAY = 500.0
 
@@ -263,7 +263,11 @@ def main() -> None:
         policy = load_policy(args.policy)
         if policy.sensing is None:
             raise ValueError(f"{args.policy} does not tell what it senses.")
-        policy.sensing.robot(None)  # these are lidars of the robot of its training
+        if policy.sensing.observe_robot:
+            raise ValueError(
+                f"{args.policy} reads which robot it drives: the lidars here are on the one robot of a "
+                f"training; choose a policy such as {POLICY.name}."
+            )
     except (OSError, ValueError) as error:
         parser.error(str(error))
     space = policy.preference_space

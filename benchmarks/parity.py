@@ -24,6 +24,7 @@ import torch
 import tqdm
 from tensordict import TensorDict
 
+from benchmarks import POLICY
 from benchmarks.cpp_library import CppRunner, build_library
 from envs import NavigationEnv
 from envs.policy_env import make_policy_env
@@ -43,9 +44,6 @@ from torchrl_morl.deploy import (
 from torchrl_morl.deploy.features import policy_transforms
 from torchrl_morl.deploy.onnx_runner import OnnxRunner
 from torchrl_morl.testing import sensor_readings
-
-POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "polished_seed0"
-"""It reads what most have: a scan, a goal and where the human is."""
 
 Readings = Mapping[str, np.ndarray]
 _MAX_STEPS = 300

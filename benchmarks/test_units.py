@@ -7,7 +7,6 @@ runs on one torch thread, eager; ``benchmarks.learner`` has the compiled updates
 from __future__ import annotations
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,10 +18,9 @@ from recipes.training.task import make_eval_env, make_preference_space, make_tra
 from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy
 from torchrl_morl.evaluation import rollout_preferences
 
+from . import POLICY
 from .ours import Ours
 from .workload import config, transitions
-
-POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "polished_seed0"
 
 
 @pytest.fixture(scope="module")

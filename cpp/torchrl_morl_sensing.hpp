@@ -124,6 +124,17 @@ struct Robot {
       if (!std::isfinite(value)) throw std::invalid_argument("robot must be finite, got " + text);
     if (*std::min_element(found.begin(), found.end() - 1) < 1e-3)
       throw std::invalid_argument("robot must have a radius, limits, view and range above 0, got " + text);
+    // As in Python: angles beyond are degrees by mistake, lengths millimetres.
+    const char* names[] = {"radius", "top speed", "top turn rate", "view of the lidar", "range of the lidar"};
+    const char* units[] = {"m", "m/s", "rad/s", "rad", "m"};
+    const double most[] = {2.0, 10.0, 12.6, 6.3, 100.0};
+    for (std::size_t i = 0; i < 5; ++i)
+      if (found[i] > most[i])
+        throw std::invalid_argument("robot: the " + std::string(names[i]) + " must be at most " + shown(most[i]) + " " +
+                                    units[i] + ", got " + shown(found[i]));
+    if (std::abs(ahead) > radius)
+      throw std::invalid_argument("robot: the lidar must be within the radius of " + shown(radius) + " m, got " +
+                                  shown(ahead) + " m ahead");
   }
 };
 

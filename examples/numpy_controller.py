@@ -11,14 +11,8 @@ import numpy as np
 from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy
 
 POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "navigation"
-ROBOT = (
-    0.177,
-    0.5,
-    np.pi,
-    2 * np.pi,
-    4.0,
-    0.0,
-)  # radius, top speed and turn rate, lidar: view, range, x
+# Radius, top speed and turn rate; of the lidar its view, its range and how far ahead of the centre it is.
+ROBOT = (0.177, 0.5, np.pi, 2 * np.pi, 4.0, 0.0)
 GOAL, PERSON, RADIUS = np.array([9.0, 0.0]), np.array([4.5, 0.0]), 0.25
 BEAMS = np.linspace(-np.pi, np.pi, 360, endpoint=False)
 

@@ -84,11 +84,8 @@ def outcomes_of(policy_folder: Path, *, drives: Path = DRIVES) -> Outcomes:
 
 
 def _driven(policy_folder: Path, drives: Path) -> Outcomes:
-    card = load_policy(policy_folder).card
-    setting = trained_in(card).with_one_robot.with_one_human
-    result, _ = obtain(
-        policy_folder, usual_scene(card), scenes=NUM_SCENES, seed=SEED, folder=drives
-    )
+    scene = usual_scene(load_policy(policy_folder).card)
+    result, setting = obtain(policy_folder, scene, scenes=NUM_SCENES, seed=SEED, folder=drives)
     start = first_moments(policy_folder, setting)
     scenes = {
         "start": start["pose"],

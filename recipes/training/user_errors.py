@@ -46,13 +46,13 @@ def error_line(
     if isinstance(error, ConfigurationError):
         return _one_line(error), REFUSED
     if _disk_is_full(error, run_dir):
-        return f"{_full_disk_line(error, run_dir)}{further}", FAILED
+        return _joined(_full_disk_line(error, run_dir), further), FAILED
     if isinstance(error, OSError):
-        return f"{_os_line(error, run_dir, begun=begun)}{further}", FAILED if begun else REFUSED
+        line = _joined(_os_line(error, run_dir, begun=begun), further)
+        return line, FAILED if begun else REFUSED
     if isinstance(error, ValueError | ImportError):
-        if not begun:
-            return _one_line(error), REFUSED
-        return f"{_one_line(error).rstrip('.')}; --debug shows where{further}", FAILED
+        hint = "; --debug shows where" if begun else ""
+        return _joined(_one_line(error), hint + further), FAILED if begun else REFUSED
     return None, FAILED
 
 
@@ -111,6 +111,11 @@ def _os_line(error: OSError, run_dir: Path | None, *, begun: bool) -> str:
         advice = ": choose a folder that can be written, hydra.run.dir=FOLDER"
     path = error.filename or run_dir
     return f"{path}: {error.strerror}{advice}"
+
+
+def _joined(line: str, more: str) -> str:
+    """A sentence ends where nothing follows."""
+    return line.rstrip(".") + more if more else line
 
 
 def _one_line(error: BaseException) -> str:

@@ -63,9 +63,8 @@ def test_a_controller_in_numpy(capsys):
     shown, wide, quick = (numpy_controller.drive(one) for one in ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
     assert capsys.readouterr().out.count("goal reached") == 3
     assert quick[0] < min(shown[0], wide[0])
-    assert (
-        shown[1] < quick[1] < wide[1]
-    )  # who stands may set out: it hurries past him at a distance
+    # Who stands may set out: it hurries past him at a distance.
+    assert shown[1] < quick[1] < wide[1]
 
 
 def test_unit_tests_of_a_loss_pass():

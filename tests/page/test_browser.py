@@ -138,9 +138,16 @@ def test_a_link_that_is_none_opens_the_page_and_says_so(opened):
     assert all(part in said for part in ("scene=moon", "seed=x", "weights=1,nan,0", "goal=1e9,0"))
 
 
+def test_who_walks_is_met_by_a_policy_that_knows_it(opened):
+    page = opened("#scene=showcase&policy=polished_seed0")
+    assert page.evaluate("page.session.policyName") == "polished_seed0"
+    page.keyboard.press("Tab")
+    page.select_option("#motion", "crosses")
+    assert page.evaluate("page.session.policyName") == "navigation"
+
+
 def test_a_person_walks_and_crosses(opened):
     page = opened("#scene=moving_human&seed=8")
-    assert page.evaluate("page.session.policyName") == "navigation"
     before = page.evaluate("page.session.episode.human")
     drive(page, 10)
     after = page.evaluate("page.session.episode.human")

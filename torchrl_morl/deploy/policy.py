@@ -21,7 +21,15 @@ from torchrl_morl.transforms import check_finite
 from .entries import one_line
 from .features import RowFeatures
 from .onnx_runner import TOLERANCE
-from .sensing import NUM_MOTION, NUM_ROBOT, SMALLEST, Limits, Sensing
+from .sensing import (
+    LARGEST,
+    NUM_MOTION,
+    NUM_ROBOT,
+    SMALLEST,
+    Limits,
+    Sensing,
+    check_robot_numbers,
+)
 
 __all__ = ["Policy"]
 
@@ -202,7 +210,7 @@ class Policy:
         }
 
     def _checked(self, given: Mapping[str, Any], tensors: bool) -> Tensor:
-        """Inputs in a row, with distances in the trained range, and behind them the preference's sum."""
+        """Inputs in a row, with distances in the trained range, and behind them what else was checked."""
         like, sizes = self._like, self._sizes
         dtype = like.dtype if tensors else _NUMPY[like.dtype]
         inputs, batches = {}, set()
@@ -232,11 +240,15 @@ class Policy:
             inputs = {n: expand(value, (*batch, value.shape[-1])) for n, value in inputs.items()}
         preference = inputs["preference"]
         if tensors:
-            total = preference.sum(-1, keepdim=True)
-            everything = torch.cat((*inputs.values(), total), -1)
+            checked = [*inputs.values(), preference.sum(-1, keepdim=True)]
+            if self.sensing.observe_robot:
+                checked += [_room(inputs["robot"])]
+            everything = torch.cat(checked, -1)
         else:
-            total = preference.sum(-1, keepdims=True)
-            everything = torch.from_numpy(np.concatenate((*inputs.values(), total), -1))
+            checked = [*inputs.values(), preference.sum(-1, keepdims=True)]
+            if self.sensing.observe_robot:
+                checked += [_room(inputs["robot"])]
+            everything = torch.from_numpy(np.concatenate(checked, -1))
             if like.device.type != "cpu":
                 everything = everything.to(like.device)
         low, high, trained = self._bounds
@@ -244,7 +256,8 @@ class Policy:
         # Equal only if nothing is NaN or out of bounds; what is wrong is then looked for.
         as_trained = torch.equal(clamped, everything)
         if not as_trained and not torch.equal(everything.clamp(low, high), everything):
-            self._refuse(dict(zip(inputs, everything.split([*(sizes[n] for n in inputs), 1], -1))))
+            widths = [value.shape[-1] for value in checked]
+            self._refuse(dict(zip(inputs, everything.split(widths, -1))))
         return clamped
 
     def _refuse(self, inputs: Mapping[str, Tensor]) -> None:
@@ -257,10 +270,10 @@ class Policy:
         self.preference_space.validate(inputs["preference"], tol=TOLERANCE)
         for name, value in inputs.items():
             lengths = value if name == "lidar" else value[..., :1]
-            if name == "robot" and value[..., :-1].min() < SMALLEST:
-                raise ValueError(
-                    f"robot must have a radius, limits, view and range above 0, got {value.tolist()}."
-                )
+            if name == "robot":
+                for one in value.reshape(-1, NUM_ROBOT).tolist():
+                    check_robot_numbers(one)
+                continue
             if name not in ("human_velocity", "motion") and lengths.min() < 0:
                 raise ValueError(
                     f"{name} has the length {lengths.min():g} m: it must not be negative."
@@ -280,13 +293,21 @@ class Policy:
             rows += [(0.0, 1.0, 1.0)]
         if sensing.observe_robot:
             # Radius, speed, turn rate, view and range are above zero.
-            rows += [(SMALLEST, huge, huge)] * (NUM_ROBOT - 1) + [(-huge, huge, huge)]
+            rows += [(SMALLEST, most, most) for most, _ in LARGEST.values()]
+            rows += [(-huge, huge, huge)]
         if sensing.observe_motion:
             rows += [(-huge, huge, huge)] * NUM_MOTION
         rows += [(0.0, huge, huge)] * self.preference_space.num_tunable
         rows += [(1 - TOLERANCE, 1 + TOLERANCE, 1 + TOLERANCE)]  # the sum of the preference
+        if sensing.observe_robot:
+            rows += [(0.0, huge, huge)]
         low, high, trained = self._like.new_tensor(rows).T.contiguous()
         return low, high, trained
+
+
+def _room(robot: Any) -> Any:
+    """How far within its hull the lidar of a robot is."""
+    return robot[..., :1] - abs(robot[..., -1:])
 
 
 def _bare(layer: nn.Module) -> Callable[[Tensor], Tensor]:

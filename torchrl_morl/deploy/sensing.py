@@ -21,6 +21,15 @@ NUM_MOTION = 2 + 2 * NUM_COMMANDS
 SMALLEST = 1e-3
 """Of a robot's radius, limits, view and range."""
 
+LARGEST = {
+    "radius": (2.0, "m"),
+    "top speed": (10.0, "m/s"),
+    "top turn rate": (12.6, "rad/s"),
+    "view of the lidar": (6.3, "rad"),
+    "range of the lidar": (100.0, "m"),
+}
+"""What they are at most, as in a file of a robot; angles beyond are degrees by mistake, lengths millimetres."""
+
 # Files from before there were these lack them.
 _LATER = ("observe_robot", "observe_nobody", "observe_motion")
 
@@ -138,10 +147,7 @@ class Sensing:
                 "top speed, top turn rate, and the lidar's view, range and distance ahead of the centre."
             )
         found = numbers_of("robot", numbers, "six numbers", NUM_ROBOT)
-        if min(found[:-1]) < SMALLEST:
-            raise ValueError(
-                f"robot must have a radius, limits, view and range above 0, got {found}."
-            )
+        check_robot_numbers(found)
         return found
 
     def of_robot(self, robot: Sequence[float]) -> Sensing:
@@ -282,3 +288,34 @@ def _refuse_unknown(entries: Entries, known: dict[str, Any]) -> None:
     for name in entries:
         if name not in known:
             raise ValueError(f"{entries.where}: unknown entry {name[:80]!r}.")
+
+
+def check_robot_numbers(robot: Sequence[float]) -> None:
+    """Refuse six numbers that no robot has.
+
+    Args:
+        robot: finite, as :meth:`Sensing.robot` takes them.
+
+    Raises:
+        ValueError: for the first that is out of bounds.
+
+    Example:
+        >>> check_robot_numbers((0.2, 0.5, 90.0, 6.28, 4.0, 0.0))
+        Traceback (most recent call last):
+        ...
+        ValueError: robot: the top turn rate must be at most 12.6 rad/s, got 90; 90 degrees are 1.571.
+    """
+    if min(robot[:-1]) < SMALLEST:
+        raise ValueError(
+            f"robot must have a radius, limits, view and range above 0, got {tuple(robot)}."
+        )
+    for (name, (most, unit)), value in zip(LARGEST.items(), robot[:-1], strict=True):
+        if value > most:
+            hint = f"; {value:g} degrees are {math.radians(value):.4g}" if "rad" in unit else ""
+            raise ValueError(
+                f"robot: the {name} must be at most {most:g} {unit}, got {value:g}{hint}."
+            )
+    if abs(robot[-1]) > robot[0]:
+        raise ValueError(
+            f"robot: the lidar must be within the radius of {robot[0]:g} m, got {robot[-1]:g} m ahead."
+        )

@@ -144,6 +144,7 @@ def test_how_the_robot_moves(cpp_library, tmp_path):
             any_robot.ROBOT,
             "this policy does not read robot, sensing.observe_robot is",
         ),
+        *(("any", *one) for one in any_robot.TOO_MUCH),
     ],
 )
 def test_robots_that_are_refused(cpp_library, of_any_robot, folder, robot, message):

@@ -10,7 +10,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from tests._any_robot import LIDAR, ROBOT, SENSING
+from tests._any_robot import LIDAR, ROBOT, SENSING, TOO_MUCH
 from torchrl_morl.deploy import Limits, PolicyRunner, Sensing, export_onnx
 from torchrl_morl.deploy.export import main
 from torchrl_morl.deploy.features import observation, policy_transforms
@@ -165,6 +165,7 @@ def test_the_command_line_is_told_the_robot(policy, tmp_path, capsys):
         (SENSING, ROBOT[:5], "robot must be six numbers, got"),
         (SENSING, (0.0, *ROBOT[1:]), "above 0, got"),
         (SENSING, (math.nan, *ROBOT[1:]), "robot must be finite, got"),
+        *((SENSING, *one) for one in TOO_MUCH),
         (Sensing(), ROBOT, "this policy does not read robot="),
     ],
 )
@@ -174,6 +175,12 @@ def test_robots_that_are_refused(sensing, robot, message):
         with pytest.raises(ValueError, match=message) as caught:
             make(policy, lidar=LIDAR, robot=robot)
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("robot", "message"), TOO_MUCH)
+def test_one_of_many_robots_is_refused(policy, robot, message):
+    with pytest.raises(ValueError, match=message):
+        policy.act(preference=PREFERENCE, robot=np.array([ROBOT, robot]), **sensed(2))
 
 
 def test_one_robot_of_those_that_a_policy_drives():
