@@ -59,7 +59,8 @@ def make(name: str, **kwargs) -> gymnasium.Env:
 
 
 @pytest.mark.parametrize(
-    "task", [pgmorl.MOHalfCheetah, pgmorl.MOWalker2d, pgmorl.MOAnt, pgmorl.MOSwimmer, pgmorl.MOHopper]
+    "task",
+    [pgmorl.MOHalfCheetah, pgmorl.MOWalker2d, pgmorl.MOAnt, pgmorl.MOSwimmer, pgmorl.MOHopper],
 )
 def test_models_are_those_of_pgmorl(task):
     text = (Path(mujoco_env.__file__).parent / "assets" / task.model_file).read_text()
