@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
@@ -9,6 +11,7 @@ from typing import Any
 
 import gymnasium
 import mo_gymnasium
+import mujoco
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
@@ -63,14 +66,17 @@ shape (K,), one entry per objective.
         limit = {} if max_episode_steps is None else {"max_episode_steps": max_episode_steps}
         try:
             with warnings.catch_warnings():
-                # What Gymnasium finds in environments is for those who write them.
+                # What Gymnasium finds in environments is for those who write them, and a name may be old.
                 warnings.simplefilter("ignore", UserWarning)
+                warnings.simplefilter("ignore", DeprecationWarning)
                 env = mo_gymnasium.make(name, **limit, **kwargs)
         except (gymnasium.error.Error, ImportError, TypeError) as error:
             raise ValueError(f"{name} cannot be made: {' '.join(str(error).split())}") from error
         return _as_a_policy_sees_it(name, env)
 
-    return VectorMOGymEnv(_VectorRewards([make] * num_envs), categorical_action_encoding=True)
+    with _each_warning_once():
+        envs = _VectorRewards([make] * num_envs)
+    return VectorMOGymEnv(envs, categorical_action_encoding=True)
 
 
 class VectorMOGymEnv(MOGymWrapper):
@@ -124,6 +130,24 @@ class _VectorRewards(SyncVectorEnv):
             self._truncations.copy(),
             {},
         )
+
+
+@contextlib.contextmanager
+def _each_warning_once() -> Iterator[None]:
+    """MuJoCo warns about a model whenever it reads it, once for each of many environments."""
+    known: set[str] = set()
+
+    def warn(message: str) -> None:
+        if message not in known:
+            known.add(message)
+            print(f"MuJoCo: {message}", file=sys.stderr)
+
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(warn)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _going_on(actions: Iterator[Any], done: np.ndarray) -> Iterator[tuple[int, Any]]:

@@ -157,3 +157,9 @@ def test_what_does_not_fit_is_one_line(name, arguments, message):
     with pytest.raises(ValueError, match=message) as refused:
         make_mo_gym_env(name, **arguments)
     assert "\n" not in str(refused.value)
+
+
+def test_what_mujoco_warns_of_is_said_once(capfd):
+    make_mo_gym_env("mo-halfcheetah-v5", num_envs=3)
+    said = capfd.readouterr()
+    assert (said.out + said.err).count("settotalmass") == 1
