@@ -18,6 +18,7 @@ from recipes.training import logs
 from recipes.training.policies import finish
 from torchrl_morl.deploy import save_policy
 from torchrl_morl.evaluation import rollout_preferences, steerability
+from torchrl_morl.modules import fold_standardization
 from torchrl_morl.preferences import PreferenceSpace
 
 from .fronts import FILE, Front
@@ -155,7 +156,7 @@ class LatticeEvaluation:
         if not folder.exists():
             save_policy(
                 folder,
-                actor,
+                fold_standardization(actor),
                 preference_space=problem.preference_space,
                 period=problem.env.base_env.period,
                 robot=cfg.env,

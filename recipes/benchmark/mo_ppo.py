@@ -61,13 +61,14 @@ def make_choosing_actor(
     cfg: DictConfig, problem: BenchmarkProblem, num_actions: int
 ) -> TensorDictSequential:
     """An actor of discrete actions: it writes ``choice`` in [-1, 1], how much it is for each of them."""
-    return make_actor(
+    actor = make_actor(
         Bounded(-1.0, 1.0, (num_actions,)),
         in_features=observation_size(problem) + problem.preference_space.num_tunable,
         num_cells=cfg.network.num_cells,
         out_key=CHOICE,
         device=problem.device,
     )
+    return agent.standardized(actor, problem)
 
 
 def make_choosing_policy(

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
+from torch import Tensor
 from torchrl.data import Categorical
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
@@ -20,6 +21,9 @@ from recipes.training.gradients import use_bfloat16
 from recipes.training.run_folder import check_run_dir
 from torchrl_morl.preferences import PreferenceSpace
 from torchrl_morl.transforms import PreferenceSampler
+
+SMALLEST_SPREAD = 0.1
+"""Standard deviation of an observation below which it is not scaled up further."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,6 +40,8 @@ class BenchmarkProblem:
     """Of the hypervolume, one entry per objective."""
     make_env: Callable[[int, int], EnvBase] | None = None
     """Another one to train in, of a seed and a number of environments; it can be pickled."""
+    statistics: tuple[Tensor, Tensor] | None = None
+    """Means and deviations of observations, ``[F]`` each."""
     facts: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     @property
@@ -82,6 +88,7 @@ def make_problem(cfg: DictConfig) -> BenchmarkProblem:
         ),
         reference=_reference(cfg, num_objectives),
         make_env=functools.partial(make_train_env, cfg, preference_space),
+        statistics=observation_statistics(cfg),
         facts={"env": cfg.env, "bfloat16": use_bfloat16(cfg.compute.bfloat16, device)},
     )
 
@@ -91,6 +98,21 @@ def make_train_env(
 ) -> EnvBase:
     """Environments to train in, with preferences of their own."""
     return _transformed(cfg, preference_space, _make_base(cfg, num_envs), seed)
+
+
+def observation_statistics(cfg: DictConfig) -> tuple[Tensor, Tensor] | None:
+    """Means and standard deviations ``[F]`` of what random actions lead to.
+
+    What hardly varies then is not blown up: no deviation is below :data:`SMALLEST_SPREAD`.
+    """
+    steps = cfg.network.standardize_frames // cfg.num_envs
+    if not steps:
+        return None
+    env = _make_base(cfg, cfg.num_envs)
+    env.set_seed(cfg.seed)
+    observation = env.rollout(steps, break_when_any_done=False)["observation"].flatten(0, -2)
+    scale, loc = torch.std_mean(observation, 0)
+    return loc, scale.clamp_min(SMALLEST_SPREAD)
 
 
 def _transformed(

@@ -14,6 +14,7 @@ from recipes.training import ppo_schema, schema, worker_schema
 from recipes.training.fields import (
     Allows,
     Count,
+    CountOrNone,
     Decay,
     Device,
     Discount,
@@ -64,6 +65,15 @@ Reference = Annotated[
 ]
 
 
+class Network(schema.Network):
+    """What they see."""
+
+    standardize_frames: CountOrNone = Field(
+        description="Steps of random actions before the training, whose means and deviations standardize "
+        "observations; 0: networks see them as they are."
+    )
+
+
 class Evaluation(Section):
     """Evaluations while training, over a lattice of preferences."""
 
@@ -108,7 +118,7 @@ class Benchmark(Section):
     )
     seed: Seed = Field(description="Seed of networks, environments and preferences.")
     device: Device = Field(description="Where networks are trained.")
-    network: schema.Network
+    network: Network
 
 
 class PDMORLLoss(schema.AngleLoss):

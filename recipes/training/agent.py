@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import torch
 from omegaconf import DictConfig
-from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.modules import AdditiveGaussianModule
@@ -12,20 +14,30 @@ from torchrl.modules import AdditiveGaussianModule
 import torchrl_morl.modules
 from envs.policy_env import observed
 from envs.straight_drive import StraightDriveValue
-from torchrl_morl.modules import make_vector_critic
+from torchrl_morl.modules import make_vector_critic, standardize_inputs
 
 from .evaluation import Problem, observation_size
 from .task import Task
 
+Network = TypeVar("Network", bound=TensorDictModuleBase)
+
 
 def make_actor(cfg: DictConfig, task: Problem) -> TensorDictSequential:
     """The actor: observation and preference to an action in [-1, 1]."""
-    return torchrl_morl.modules.make_actor(
+    actor = torchrl_morl.modules.make_actor(
         task.env.action_spec_unbatched,
         in_features=observation_size(task) + task.preference_space.num_tunable,
         num_cells=cfg.network.num_cells,
         device=task.device,
     )
+    return standardized(actor, task)
+
+
+def standardized(network: Network, task: Problem) -> Network:
+    """The network, whose first input is the observation, with the statistics of the task."""
+    if task.statistics is not None:
+        standardize_inputs(network, *task.statistics)
+    return network
 
 
 def make_policy(
@@ -47,13 +59,14 @@ def make_policy(
 def make_critic(cfg: DictConfig, task: Problem, num_values: int) -> TensorDictModule:
     """A critic with so many values of a state, a preference and an action."""
     action_size = task.env.action_spec_unbatched.shape[-1]
-    return make_vector_critic(
+    critic = make_vector_critic(
         num_values,
         in_features=observation_size(task) + task.preference_space.num_tunable + action_size,
         num_cells=cfg.network.num_cells,
         layer_norm=cfg.network.critic_layer_norm,
         device=task.device,
     )
+    return standardized(critic, task)
 
 
 def make_straight_drive_value(cfg: DictConfig, task: Task) -> StraightDriveValue:

@@ -37,6 +37,11 @@ class Problem(Protocol):
         ...
 
     @property
+    def statistics(self) -> tuple[Tensor, Tensor] | None:
+        """Means and deviations ``[F]`` in whose units networks see observations; ``None``: as they are."""
+        ...
+
+    @property
     def facts(self) -> dict[str, Any]:
         """For the cards of its policies."""
         ...

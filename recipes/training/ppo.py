@@ -20,6 +20,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl_morl.modules import make_vector_critic
 from torchrl_morl.objectives import MultiObjectiveGAE
 
+from .agent import standardized
 from .evaluation import Problem, observation_size
 
 TRANSITION = (
@@ -98,7 +99,7 @@ def make_policy(
 
 def make_critic(cfg: DictConfig, problem: Problem) -> TensorDictModule:
     """One state value per objective."""
-    return make_vector_critic(
+    critic = make_vector_critic(
         problem.preference_space.num_objectives,
         in_features=observation_size(problem) + problem.preference_space.num_tunable,
         in_keys=("observation", "preference"),
@@ -107,6 +108,7 @@ def make_critic(cfg: DictConfig, problem: Problem) -> TensorDictModule:
         out_key="state_value",
         device=problem.device,
     )
+    return standardized(critic, problem)
 
 
 def make_advantage(

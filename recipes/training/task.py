@@ -60,6 +60,8 @@ class Task:
     """Those scenes, see :func:`recipes.evaluation.sweep.scene_layout`."""
     make_env: Callable[[int, int], EnvBase] | None = None
     """Another one to train in, of a seed and a number of environments; it can be pickled."""
+    statistics: None = None
+    """Networks see observations as they are: their transforms have brought them to units."""
     facts: dict[str, Any] = dataclasses.field(default_factory=dict)
     """For the cards of its policies."""
 

@@ -17,7 +17,7 @@ from torchrl_morl.modules.inputs import NamedInputsMLP, resolve_in_features
 __all__ = ["make_actor", "make_vector_critic", "saturated_fraction"]
 
 
-class _PreciseLinear(nn.Linear):
+class PreciseLinear(nn.Linear):
     """A linear layer in the precision of its weights, also under :class:`torch.autocast`.
 
     First and last layers of a network are such: bfloat16 has three digits, which round metres to
@@ -32,7 +32,7 @@ class _PreciseLinear(nn.Linear):
             return super().forward(input.to(self.weight.dtype))
 
 
-class _ScaledLinear(_PreciseLinear):
+class _ScaledLinear(PreciseLinear):
     """A linear layer that starts, and restarts, with small weights and no bias.
 
     The gain lives in ``reset_parameters``, and not in a one-off edit of the weights, so that it
@@ -255,7 +255,7 @@ def saturated_fraction(
 def keep_precision(mlp: nn.Sequential, index: int) -> None:
     """Exchange a linear layer for one that autocast leaves alone, with the same parameters."""
     old = mlp[index]
-    new = _PreciseLinear(old.in_features, old.out_features, device="meta")
+    new = PreciseLinear(old.in_features, old.out_features, device="meta")
     # Its own parameters: none are drawn anew.
     new.weight, new.bias = old.weight, old.bias
     mlp[index] = new
