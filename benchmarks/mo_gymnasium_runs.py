@@ -58,6 +58,8 @@ REFERENCE = -100.0
 
 ITERATION = 10_000
 """Steps between two choices of weights of GPI-LS, its default."""
+RANDOM_STEPS = 1_000
+"""What CAPQL begins with, what PD-MORL begins with, and what standardizes our observations."""
 PPO_BATCH = 2_000
 """Half of the recipe's: of so few steps there would be five batches."""
 EVALUATION_SEED = 2_000_003
@@ -96,14 +98,14 @@ class Result:
         job: the training.
         front: mean returns, a row a preference.
         cpu_seconds: of the training, its own evaluations included where it learns from them.
-        own_evaluation_steps: steps of those evaluations, which count as no steps of the training.
+        further_steps: of those evaluations, and random ones that standardize observations.
         episode_steps: of an episode of the evaluation, on average.
     """
 
     job: Job
     front: Front
     cpu_seconds: float
-    own_evaluation_steps: int
+    further_steps: int
     episode_steps: float
 
     def front_as_lists(self) -> dict[str, list[list[float]]]:
@@ -117,7 +119,7 @@ class Trained(NamedTuple):
 
     actor: TensorDictModuleBase
     cpu_seconds: float
-    own_evaluation_steps: int
+    further_steps: int
 
 
 def measure(job: Job) -> Result:
@@ -132,7 +134,7 @@ def measure(job: Job) -> Result:
     ):
         trained = train(job, Path(folder) / "run")
         found = evaluate(job, trained.actor)
-    return Result(job, found.front, trained.cpu_seconds, trained.own_evaluation_steps, found.steps)
+    return Result(job, found.front, trained.cpu_seconds, trained.further_steps, found.steps)
 
 
 def evaluate(job: Job, actor: TensorDictModuleBase) -> LatticeResult:
@@ -179,6 +181,7 @@ def overrides(job: Job) -> list[str]:
         f"seed={job.seed}",
         f"collector.total_frames={job.steps}",
         f"loss.gamma={GAMMA}",
+        f"network.standardize_frames={RANDOM_STEPS}",
         f"evaluation.preferences={job.space.num_objectives}",
         "logger.backends=[csv]",
     ]
@@ -191,8 +194,7 @@ def overrides(job: Job) -> list[str]:
     return [
         *ours,
         "compute.compile=false",
-        # As many as CAPQL takes.
-        f"collector.init_random_frames={min(1_000, job.steps // 2)}",
+        f"collector.init_random_frames={min(RANDOM_STEPS, job.steps // 2)}",
         f"evaluation.interval={max(1, job.steps // 10)}",
     ]
 
@@ -201,7 +203,8 @@ def _train_ours(job: Job, folder: Path) -> Trained:
     with _watched_evaluations() as spent:
         run_recipe("recipes.benchmark.train", *overrides(job), f"hydra.run.dir={folder}")
     policy = load_policy(max((folder / "policies").iterdir()))
-    return Trained(policy.actor, *spent)
+    seconds, evaluated = spent
+    return Trained(policy.actor, seconds, evaluated + RANDOM_STEPS)
 
 
 @contextlib.contextmanager
@@ -242,11 +245,11 @@ def _train_peer(job: Job, folder: Path) -> Trained:
     random.seed(job.seed)
     np.random.seed(job.seed)
     torch.manual_seed(job.seed)
-    own_evaluation_steps = 0
+    further_steps = 0
 
     def count(steps: int) -> None:
-        nonlocal own_evaluation_steps
-        own_evaluation_steps = steps
+        nonlocal further_steps
+        further_steps = steps
 
     with tqdm.tqdm(total=job.steps, unit="step", smoothing=0.05) as progress:
         env = _peer_env(job.task, job.seed, lambda _: progress.update())
@@ -271,7 +274,7 @@ def _train_peer(job: Job, folder: Path) -> Trained:
         seconds = time.process_time() - start
     # A preference over all objectives is what they call weights.
     actor = TensorDictModule(act, in_keys=["observation", "preference"], out_keys=["action"])
-    return Trained(actor, seconds, own_evaluation_steps)
+    return Trained(actor, seconds, further_steps)
 
 
 def _peer_env(task: str, seed: int, after_step: Callable[[int], None]) -> gymnasium.Env:

@@ -74,7 +74,7 @@ def indicators(task: str, rows: Sequence[Row]) -> str:
         "as commanded",
         "expected utility, sums",
         "processor s",
-        "steps of its own evaluations",
+        "further steps",
     ]
     lines = [_row(titles), "|" + len(titles) * "---|"]
     for algorithm, steps, results in rows:
@@ -92,7 +92,7 @@ def indicators(task: str, rows: Sequence[Row]) -> str:
                     interval([one["commanded_utility"] for one in discounted]),
                     interval([one["expected_utility"] for one in sums]),
                     f"{np.mean([one.cpu_seconds for one in results]):,.0f}",
-                    f"{np.mean([one.own_evaluation_steps for one in results]):,.0f}",
+                    f"{np.mean([one.further_steps for one in results]):,.0f}",
                 ]
             )
         )
