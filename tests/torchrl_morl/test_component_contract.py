@@ -27,6 +27,7 @@ from torchrl_morl.modules import (
     HeldEGreedyModule,
     PreferenceInterpolator,
     RewardModel,
+    StandardizedLinear,
     make_actor,
     make_vector_critic,
 )
@@ -114,6 +115,11 @@ def reward_model(seed: int) -> RewardModel:
 def actor(seed: int) -> nn.Module:
     torch.manual_seed(seed)
     return make_actor(SPEC, in_features=OBS + 2, num_cells=(8,), last_layer_gain=1.0)
+
+
+def standardized(seed: int) -> StandardizedLinear:
+    torch.manual_seed(seed)
+    return StandardizedLinear(3, 2, torch.tensor([5.0, -1.0]), torch.tensor([2.0, 4.0]))
 
 
 def critic(seed: int) -> nn.Module:
@@ -220,6 +226,11 @@ CASES = {
         fitted, ("num_keys=2", "value_space='normalized'"), lambda: transitions()["preference"]
     ),
     "RewardModel": Case(reward_model, ("in_features=6", "['observation', 'action']")),
+    "StandardizedLinear": Case(
+        standardized,
+        ("in_features=3", "out_features=2", "standardized=2"),
+        lambda: torch.rand(4, 3),
+    ),
     "make_actor": Case(actor, ("in_features=6", "['observation', 'preference']")),
     "make_vector_critic": Case(critic, ("in_features=8", "out_features=3")),
     "MOTD3Loss": Case(
