@@ -41,6 +41,7 @@ class Runner {
     };
     goal_radius = positive("goal_radius", options.goal_radius.value_or(sensing.goal_range.first));
     timeout = positive("timeout", options.timeout.value_or(policy.period));
+    fastest_ = {fastest(limits[0]), fastest(limits[1])};
     max_speed = positive("max_speed", options.max_speed.value_or(fastest(limits[0])));
     max_turn_rate = positive("max_turn_rate", options.max_turn_rate.value_or(fastest(limits[1])));
   }
@@ -81,9 +82,11 @@ class Runner {
         if (std::isnan(range)) range = sensing.unknown_range;
       }
       if (human) check(*human);
-      if (human && !human_velocity && odometry) human_velocity = velocity_of(*human, *odometry, stamp);
+      const bool tracked = human && !human_velocity && odometry;
+      if (sensing.observe_motion || tracked) moved(odometry, stamp);
+      if (tracked) human_velocity = velocity_of(*human, *odometry, stamp);
       std::optional<Motion> motion;
-      if (sensing.observe_motion) motion = motion_of(odometry, stamp);
+      if (sensing.observe_motion) motion = motion_now();
       command = policy.act(preference, sectors, *goal, human, human ? human_velocity : std::nullopt, robot, motion);
     } catch (const std::exception& error) {
       return stop("refused", error.what());
@@ -118,8 +121,6 @@ class Runner {
   // Of the human since the last step, along the axes of the robot; 0 at first sight, which a human is at again who was
   // gone for a second or moves faster than 3 m/s.
   Velocity velocity_of(Polar human, Pose robot, double stamp) {
-    if (!std::isfinite(robot.x) || !std::isfinite(robot.y) || !std::isfinite(robot.heading))
-      throw std::invalid_argument("odometry must be finite");
     const Seen now{stamp, robot.x + human.distance * std::cos(robot.heading + human.bearing),
                    robot.y + human.distance * std::sin(robot.heading + human.bearing)};
     const double since = human_ ? stamp - human_->stamp : std::numeric_limits<double>::infinity();
@@ -133,8 +134,9 @@ class Runner {
     return {cos * velocity_.ahead + sin * velocity_.left, cos * velocity_.left - sin * velocity_.ahead};
   }
 
-  // Measured since the last step, and the last commands; after as many periods without a step it stood.
-  Motion motion_of(const std::optional<Pose>& odometry, double stamp) {
+  // Measures speed and turn rate since the last step. After as many periods without one as there are commands it
+  // stood. What is further than it can have moved is odometry that jumped: first sight of everything.
+  void moved(const std::optional<Pose>& odometry, double stamp) {
     if (!odometry) throw std::invalid_argument("this policy reads how the robot moves: give odometry");
     const Pose at = *odometry;
     if (!std::isfinite(at.x) || !std::isfinite(at.y) || !std::isfinite(at.heading))
@@ -144,11 +146,19 @@ class Runner {
       measured_ = {0.0, 0.0};
       told_ = {};
     } else if (since > 0) {
-      const double cos = std::cos(at.heading), sin = std::sin(at.heading);
-      const double ahead = cos * (at.x - stood_->at.x) + sin * (at.y - stood_->at.y);
-      measured_ = {ahead / since, std::remainder(at.heading - stood_->at.heading, 2 * pi) / since};
+      const double x = at.x - stood_->at.x, y = at.y - stood_->at.y;
+      const double turned = std::remainder(at.heading - stood_->at.heading, 2 * pi);
+      if (std::hypot(x, y) <= 2 * fastest_[0] * since + 0.1 && std::abs(turned) <= 2 * fastest_[1] * since + 0.2) {
+        measured_ = {(std::cos(at.heading) * x + std::sin(at.heading) * y) / since, turned / since};
+      } else {
+        measured_ = {0.0, 0.0};
+        human_.reset();
+      }
     }
     if (since > 0) stood_ = Stood{stamp, at};
+  }
+
+  Motion motion_now() const {
     Motion motion{measured_[0], measured_[1]};
     for (std::size_t i = 0; i < told_.size(); ++i) {
       motion[2 + 2 * i] = told_[i][0];
@@ -172,6 +182,7 @@ class Runner {
   Velocity velocity_{0.0, 0.0};  // along the axes of the fixed frame: east and north
   std::optional<Stood> stood_;
   std::array<double, 2> measured_{};             // speed and turn rate
+  std::array<double, 2> fastest_{};              // of the robot, whatever its commands are lowered to
   std::array<std::array<double, 2>, 4> told_{};  // the last commands
 };
 

@@ -123,6 +123,24 @@ def test_how_the_robot_moves(cpp_library, tmp_path):
     assert (wrong.reason, wrong.detail) == ("refused", "odometry must be finite")
 
 
+def test_odometry_that_jumps_is_no_motion(cpp_library, tmp_path):
+    folder = any_robot.save(tmp_path / "any", motion=True)
+    given = {"lidar": LIDAR, "robot": any_robot.ROBOT}
+    ours = PolicyRunner(load_policy(folder), **given)
+    other = CppRunner(cpp_library, folder, **given)
+    # 2 x 0.7 m/s x 0.2 s + 0.1 m are 0.38 m.
+    places = (0.0, 0.1, 0.2, 0.57, 0.67, 1.06, 1.2, 1e30, 5.0)
+    headings = (0.0, 0.1, 0.2, 0.3, 1.2, 1.3, 2.4, 2.5, 2.6)
+    commands = []
+    for number, (x, heading) in enumerate(zip(places, headings, strict=True)):
+        told = {"stamp": 0.2 * number, "odometry": (x, 0.0, heading)}
+        expected, found = (step(runner, 0.2 * number + 0.01, **told) for runner in (ours, other))
+        assert expected.reason == "drive", expected.detail
+        check_command(found, expected)
+        commands.append((found.speed, found.turn_rate))
+    assert len(set(commands)) == len(commands)
+
+
 @pytest.mark.parametrize(
     ("folder", "robot", "message"),
     [

@@ -151,6 +151,44 @@ def test_what_a_runner_remembers():
     assert runner.motion == (0.0,) * NUM_MOTION
 
 
+JUMPS = [(1.8, 0.0, 0.0), (0.0, -5.0, 0.0), (1e30, 0.0, 0.0), (1.7e308, -1.7e308, 0.0)]
+"""What odometry does where a robot is localised anew, x, y and heading, in a step of 0.2 s at 0.5 m/s."""
+
+
+@pytest.mark.parametrize("jump", [*JUMPS, (0.0, 0.0, 2.0)])
+def test_odometry_that_jumps_is_no_motion(jump):
+    runner = recorder()
+    go(runner, 0.0, (0.0, 0.0, 0.0))
+    go(runner, 0.2, (0.1, 0.0, 0.0))
+    assert runner.motion[0] == pytest.approx(0.5)
+    there = np.add((0.2, 0.0, 0.0), jump)
+    go(runner, 0.4, tuple(there))
+    assert runner.motion[:2] == (0.0, 0.0) and runner.motion[2:4] == (0.3, 0.1)
+    if jump[0] < 1e20:  # further away 0.1 m is no difference
+        go(runner, 0.6, tuple(there + (0.1 * math.cos(jump[2]), 0.1 * math.sin(jump[2]), 0.0)))
+        assert runner.motion[0] == pytest.approx(0.5)
+
+
+def test_the_fastest_that_it_may_have_moved():
+    for way, found in ((0.29, 0.29 / 0.2), (0.31, 0.0)):  # 2 x 0.5 m/s x 0.2 s + 0.1 m
+        runner = recorder()
+        go(runner, 0.0, (0.0, 0.0, 0.0))
+        go(runner, 0.2, (way, 0.0, 0.0))
+        assert runner.motion[0] == pytest.approx(found)
+
+
+@pytest.mark.parametrize("jump", [(0.4, 0.0, 0.0), *JUMPS])
+def test_a_person_does_not_walk_where_odometry_jumps(jump):
+    """0.4 m are 2 m/s of the person, who could walk so; the robot cannot."""
+    runner = PolicyRunner(restless(ALL), lidar=LIDAR, robot=ROBOT[:1] + (0.5,) + ROBOT[2:])
+    given, seen = runner._command, []
+    runner._command = lambda scan, inputs: seen.append(inputs) or given(scan, inputs)
+    for time, x, y in ((0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.4, *jump[:2])):
+        command = go(runner, time, (x, y, 0.0), human=(2.0, 0.0))
+        assert command.reason == "drive", command.detail
+    assert seen[-1]["human_velocity"] == (0.0, 0.0)
+
+
 @pytest.mark.parametrize(
     ("pose", "message"),
     [
