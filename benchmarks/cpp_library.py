@@ -90,7 +90,8 @@ class CppRunner:
             _doubles((*fields, *lidar.mount))[0],
             lidar.num_beams,
             _doubles(options)[0],
-            _doubles(robot)[0],
+            # Three NaN: those of the lidar.
+            _doubles(None if robot is None else (*robot, *[math.nan] * (6 - len(robot))))[0],
             error,
             len(error),
         )

@@ -22,7 +22,8 @@ extern "C" {
 
 // lidar: first_angle, increment, range_min, range_max, and x, y, yaw of the mount. options: goal_radius, timeout,
 // max_speed, max_turn_rate, or null; NaN is the default. robot, for policies that read which one it is, and null for
-// others: radius, top speed, top turn rate, and the lidar's view, range and distance ahead of the rotation centre.
+// others: radius, top speed, top turn rate, and the lidar's view, range and distance ahead of the rotation centre,
+// three NaN for those of the lidar above.
 // Returns null, and says why in error, where it cannot be done.
 void* torchrl_morl_open(const char* folder, const double* lidar, std::size_t num_beams, const double* options,
                         const double* robot, char* error, std::size_t error_size) {

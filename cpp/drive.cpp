@@ -16,7 +16,7 @@ int main(int count, char** arguments) {
     Policy policy(arguments[1]);
     Options options;
     // Your robot, for a policy that reads which one it drives: here a TurtleBot 2.
-    if (policy.sensing.observe_robot) options.robot = {0.177, 0.5, pi, 2 * pi, 3.5, 0.0};
+    if (policy.sensing.observe_robot) options.robot = {0.177, 0.5, pi};
     // The fields of your driver's LaserScan.
     Runner runner(std::move(policy), {-pi, pi / 180, 360, 0.12, 3.5}, options);
     std::vector<double> preference;

@@ -60,6 +60,7 @@ class Policy {
                             std::optional<Polar> human = {}, std::optional<Velocity> human_velocity = {},
                             std::optional<Robot> which = {}, std::optional<Motion> motion = {}) const {
     sensing.check(which);
+    if (which) which->check();
     if (lidar.size() != sensing.num_sectors)
       throw std::invalid_argument("lidar must have " + std::to_string(sensing.num_sectors) + " entries, got " +
                                   std::to_string(lidar.size()));

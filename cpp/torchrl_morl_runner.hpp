@@ -34,6 +34,7 @@ class Runner {
       throw std::invalid_argument("lidar: too few beams: the policy needs at least " +
                                   std::to_string(sensing.num_sectors) + " a revolution");
     sensing.check(robot);
+    if (robot) robot = robot->with(lidar);
     if (robot) origin_ = {robot->ahead, 0.0};  // of such a policy, ranges are those of the lidar where it is
     const auto limits = policy.limits_of(robot);
     const auto fastest = [](std::pair<double, double> limit) {

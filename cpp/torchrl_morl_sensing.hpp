@@ -112,7 +112,31 @@ using Motion = std::array<double, 10>;
 struct Robot {
   double radius;                    // m
   double top_speed, top_turn_rate;  // m/s, rad/s; commands are within them
-  double view, range, ahead;        // of the lidar: rad, m, and how far ahead of the rotation centre it is, m
+  // Of the lidar: rad, m, and how far ahead of the rotation centre it is, m. Left out, NaN: what the runner's lidar has.
+  double view = std::numeric_limits<double>::quiet_NaN(), range = view, ahead = view;
+
+  // The same with this lidar; throws for a view, a range or a place that it does not have.
+  Robot with(const Lidar& lidar) const {
+    const double own_view = std::min(std::abs(lidar.increment) * static_cast<double>(lidar.num_beams), 2 * pi);
+    const double own_range = std::min(lidar.range_max, 100.0);
+    const auto or_own = [](double given, double own) { return std::isnan(given) ? own : given; };
+    const Robot whole{radius,
+                      top_speed,
+                      top_turn_rate,
+                      or_own(view, own_view),
+                      or_own(range, own_range),
+                      or_own(ahead, lidar.mount.x)};
+    const auto refuse = [](const char* name, double value, const char* theirs, double own) {
+      throw std::invalid_argument("robot: the " + std::string(name) + " of the lidar is " + shown(value) + ", but " +
+                                  theirs + " " + shown(own) + ": leave the lidar's three numbers out");
+    };
+    whole.check();
+    // Numbers are rounded, a range is reported in float32.
+    if (whole.view > own_view * 1.01 + 0.01) refuse("view", whole.view, "its beams cover", own_view);
+    if (whole.range > own_range * 1.001) refuse("range", whole.range, "its range_max is", own_range);
+    if (std::abs(whole.ahead - lidar.mount.x) > 0.01) refuse("place ahead", whole.ahead, "its mount is at", lidar.mount.x);
+    return whole;
+  }
 
   std::array<double, 6> numbers() const { return {radius, top_speed, top_turn_rate, view, range, ahead}; }
 
@@ -151,7 +175,7 @@ struct Sensing {
            10 * observe_motion;
   }
 
-  // Throws std::invalid_argument for a robot that the policy does not read, none where it does, or what is none.
+  // Throws std::invalid_argument for a robot that the policy does not read, or none where it does.
   void check(const std::optional<Robot>& robot) const {
     if (!observe_robot) {
       if (robot) throw std::invalid_argument("this policy does not read robot, sensing.observe_robot is false");
@@ -159,9 +183,8 @@ struct Sensing {
     }
     if (!robot)
       throw std::invalid_argument(
-          "this policy reads which robot it drives (sensing.observe_robot): give robot, radius, top speed, top turn "
-          "rate, and the lidar's view, range and distance ahead of the centre");
-    robot->check();
+          "this policy reads which robot it drives (sensing.observe_robot): give robot, its radius (m), top speed "
+          "(m/s) and top turn rate (rad/s)");
   }
 };
 

@@ -11,8 +11,7 @@ import numpy as np
 from torchrl_morl.deploy import LidarGeometry, PolicyRunner, load_policy
 
 POLICY = Path(__file__).parents[1] / "recipes" / "policies" / "navigation"
-# Radius, top speed and turn rate; of the lidar its view, its range and how far ahead of the centre it is.
-ROBOT = (0.177, 0.5, np.pi, 2 * np.pi, 4.0, 0.0)
+ROBOT = (0.177, 0.5, np.pi)  # radius, top speed, top turn rate
 GOAL, PERSON, RADIUS = np.array([9.0, 0.0]), np.array([4.5, 0.0]), 0.25
 BEAMS = np.linspace(-np.pi, np.pi, 360, endpoint=False)
 

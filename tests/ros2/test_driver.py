@@ -393,10 +393,11 @@ def of_any_robot(tmp_path_factory):
 @pytest.mark.parametrize("somebody", [True, False])
 def test_it_is_told_the_robot_and_drives_as_the_runner_of_the_library(of_any_robot, somebody):
     given = {} if somebody else NOBODY
-    made = told(driver(policy=of_any_robot, robot=any_robot.ROBOT, **given))
+    robot = any_robot.ROBOT[:3]
+    made = told(driver(policy=of_any_robot, robot=robot, **given))
     decision = made.step(10.1)
     lidar = LidarGeometry(-math.pi, math.pi / 180, 360, range_min=0.1, range_max=8.0)
-    expected = PolicyRunner(of_any_robot, lidar=lidar, robot=any_robot.ROBOT).step(
+    expected = PolicyRunner(of_any_robot, lidar=lidar, robot=robot).step(
         np.full(360, math.inf),
         goal=(math.hypot(6, 1), math.atan2(1, 6)),
         human=(math.hypot(3, 1), math.atan2(-1, 3)) if somebody else None,
@@ -413,7 +414,7 @@ def test_it_is_told_the_robot_and_drives_as_the_runner_of_the_library(of_any_rob
 
 def test_a_robot_that_is_missing_or_is_not_read_is_named(of_any_robot):
     with pytest.raises(
-        ValueError, match=r"^robot must be radius, top speed, .* got \[0.0, 0"
+        ValueError, match=r"^robot must be radius \(m\), top speed .* got \[0.0, 0"
     ) as one:
         driver(policy=of_any_robot)
     with pytest.raises(ValueError, match=r"^robot must be left out: this policy does not") as other:
@@ -437,7 +438,7 @@ def test_a_robot_that_is_missing_or_is_not_read_is_named(of_any_robot):
         ("max_speed", -0.1),
         ("lidar_mount", (0.0, 0.0)),
         ("lidar_mount", (0.0, 0.0, math.nan)),
-        ("robot", (0.2, 0.5, 3.0)),
+        ("robot", (0.2, 0.5)),
         ("robot", (0.0, *any_robot.ROBOT[1:])),
         ("robot", (*any_robot.ROBOT[:5], math.nan)),
         ("publish_rate", 1.0),

@@ -1,6 +1,6 @@
 """Write a policy as one ONNX file: raw ranges, goal, human and preference in, m/s and rad/s out.
 
-    python -m torchrl_morl.deploy.export recipes/policies/navigation --onnx navigation.onnx --robot 0.177 0.5 3.14 6.28 4 0
+    python -m torchrl_morl.deploy.export recipes/policies/navigation --onnx navigation.onnx --robot 0.177 0.5 3.14
     python -m torchrl_morl.deploy.export POLICY --onnx FILE --lidar -3.1416 0.017453 360 0.12 3.5
     python -m torchrl_morl.deploy.export POLICY --onnx FILE --runner onnx_runner.py
 
@@ -58,10 +58,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument(
         "--robot",
-        nargs=6,
+        nargs="+",
         type=float,
-        metavar=("RADIUS", "SPEED", "TURN_RATE", "VIEW", "RANGE", "AHEAD"),
-        help="for policies that read which robot they drive: m, m/s, rad/s, and of the lidar rad, m, m",
+        metavar="NUMBER",
+        help="for policies that read which robot they drive: radius (m), top speed (m/s), top turn rate (rad/s); "
+        "after them may stand the lidar's view (rad), range (m) and place ahead (m), where they are not --lidar's",
     )
     parser.add_argument(
         "--runner",

@@ -114,11 +114,11 @@ class PolicyGraph(nn.Module):
         lidar: of the robot.
 
     Keyword Args:
-        robot: which one it is, six numbers as of :meth:`Sensing.robot`, for policies that read it.
+        robot: which one it is, for policies that read it: see :meth:`LidarGeometry.robot`.
 
     Raises:
         ValueError: for a policy that does not tell what it senses, a lidar too coarse for it, or a robot
-            that :meth:`Sensing.robot` refuses.
+            that :meth:`LidarGeometry.robot` refuses.
 
     Example:
         >>> import torch
@@ -140,7 +140,7 @@ class PolicyGraph(nn.Module):
             raise ValueError("the file of this policy does not tell what it senses.")
         lidar.check(policy.sensing)
         self.sensing, self.limits = policy.sensing, policy.limits
-        robot = self.sensing.robot(robot)
+        robot = lidar.robot(self.sensing, robot)
         if robot is not None:
             # Of such a policy, ranges are those of the lidar where it is, and limits those of the robot.
             self.sensing = self.sensing.of_robot(robot)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from torchrl_morl.arguments import check_count, check_positive, is_number
 
-from .onnx_runner import as_reported, numeric_ranges
-from .sensing import Sensing
+from .onnx_runner import as_reported, numbers_of, numeric_ranges
+from .sensing import LARGEST, NUM_BASE, NUM_ROBOT, Sensing
 
 __all__ = ["LidarGeometry", "sector_of"]
 
@@ -193,6 +193,63 @@ class LidarGeometry:
                 f"{sensing.num_sectors} beams a revolution."
             )
 
+    def robot(self, sensing: Sensing, numbers: Sequence[float] | None) -> tuple[float, ...] | None:
+        """The robot that carries this lidar, for policies that read it.
+
+        Args:
+            sensing: of the policy.
+            numbers: radius (m), top speed (m/s) and top turn rate (rad/s) of the base. Behind them may
+                stand the lidar's view (rad), range (m) and distance ahead of the rotation centre (m),
+                where less of it is to count than it has.
+
+        Returns:
+            All six, as :meth:`Sensing.robot` does; ``None`` where the policy reads none.
+
+        Raises:
+            ValueError: for what :meth:`Sensing.robot` refuses, and for a view, a range or a place that
+                this lidar does not have.
+
+        Example:
+            >>> lidar = LidarGeometry(-2.0, 0.01, 401, 0.1, 8.0, mount=(0.1, 0.0, 0.0))
+            >>> lidar.robot(Sensing(observe_robot=True), (0.25, 0.8, 3.0))
+            (0.25, 0.8, 3.0, 4.01, 8.0, 0.1)
+            >>> lidar.robot(Sensing(observe_robot=True), (0.25, 0.8, 3.0, 4.0, 12.0, 0.1))
+            Traceback (most recent call last):
+            ...
+            ValueError: robot: the range of the lidar is 12 m, but range_max=8 of lidar=: leave the \
+lidar's three numbers out.
+        """
+        view = min(abs(self.increment) * self.num_beams, 2 * math.pi)
+        furthest, _ = LARGEST["range of the lidar"]
+        own = view, min(self.range_max, furthest), self.mount[0]
+        if sensing.observe_robot and _size(numbers) not in (None, NUM_ROBOT):
+            base = numbers_of(
+                "robot",
+                numbers,
+                "three numbers, radius, top speed and top turn rate, or six",
+                NUM_BASE,
+            )
+            return sensing.robot((*base, *own))
+        found = sensing.robot(numbers)
+        if found is not None:
+            self._check_robot(found, own)
+        return found
+
+    def _check_robot(self, robot: Sequence[float], own: Sequence[float]) -> None:
+        # Numbers are rounded, a range is reported in float32.
+        view, reach, ahead = robot[NUM_BASE:]
+        wrong = (
+            (view > own[0] * 1.01 + 0.01, "view", view, "rad", f"{own[0]:.4g} rad of"),
+            (reach > own[1] * 1.001, "range", reach, "m", f"range_max={own[1]:g} of"),
+            (abs(ahead - own[2]) > 0.01, "place ahead", ahead, "m", f"mount x={own[2]:g} of"),
+        )
+        for is_wrong, name, value, unit, theirs in wrong:
+            if is_wrong:
+                raise ValueError(
+                    f"robot: the {name} of the lidar is {value:g} {unit}, but {theirs} lidar=: leave the "
+                    "lidar's three numbers out."
+                )
+
     @functools.cached_property
     def thresholds(self) -> tuple[float, float]:
         """From where on a reading is valid, and from where on free, metres, as drivers report them."""
@@ -209,3 +266,7 @@ class LidarGeometry:
 
     def _refused(self, name: str, allowed: str) -> ValueError:
         return ValueError(f"lidar: {name} must be {allowed}, got {getattr(self, name)!r}.")
+
+
+def _size(numbers: object) -> int | None:
+    return None if numbers is None else len(numbers) if isinstance(numbers, Sized) else 1

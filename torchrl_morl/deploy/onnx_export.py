@@ -24,6 +24,7 @@ from .graph import PolicyGraph
 from .lidar import LidarGeometry
 from .onnx_runner import FORMAT
 from .policy import Policy
+from .sensing import NUM_ROBOT
 
 __all__ = ["export_onnx", "training_lidar"]
 
@@ -56,7 +57,8 @@ def training_lidar(
         num_beams: of the lidar.
 
     Keyword Args:
-        robot: which one it is on, for policies that read it: see :meth:`Sensing.robot`.
+        robot: which one it is on, for policies that read it; six numbers say how far it sees and where
+            it is.
 
     Raises:
         ValueError: for a policy that does not tell what it senses, or a robot that is refused.
@@ -70,14 +72,15 @@ def training_lidar(
     if policy.sensing is None:
         raise ValueError("the file of this policy does not tell what it senses.")
     sensing = policy.sensing
-    if (numbers := sensing.robot(robot)) is not None:
-        sensing = sensing.of_robot(numbers)
+    furthest = sensing.max_range
+    if robot is not None and len(robot) == NUM_ROBOT and (numbers := sensing.robot(robot)):
+        sensing, furthest = sensing.of_robot(numbers), max(furthest, numbers[4])
     return LidarGeometry(
         first_angle=0.0,
         increment=2 * np.pi / num_beams,
         num_beams=num_beams,
         range_min=0.0005,
-        range_max=sensing.max_range,
+        range_max=furthest,
         mount=(*sensing.lidar_origin, 0.0),
     )
 
@@ -121,7 +124,7 @@ def export_onnx(
 
     Keyword Args:
         lidar: of the robot; its geometry becomes part of the file.
-        robot: which one it is, six numbers as of :meth:`Sensing.robot`, for policies that read it;
+        robot: which one it is, for policies that read it, see :meth:`LidarGeometry.robot`;
             they become part of the file, too.
 
     Returns:
@@ -132,7 +135,7 @@ def export_onnx(
         FileNotFoundError: if there is no folder for it.
         ImportError: without the extra ``export``.
         ValueError: for a policy that does not tell what it senses or is of float64, for a lidar too
-            coarse for it, a robot that :meth:`Sensing.robot` refuses, or where the file would not compute what the policy does.
+            coarse for it, a robot that :meth:`LidarGeometry.robot` refuses, or where the file would not compute what the policy does.
 
     Example:
         >>> import math, tempfile

@@ -31,7 +31,10 @@ FORMAT = 1
 TOLERANCE = 1e-4  # how far the sum of a preference may be from one
 FASTEST_HUMAN = 3.0  # m/s; two positions further apart are not those of one person
 FORGET_HUMAN = 5  # periods after which a human who comes back is seen for the first time
-JUMP = (0.1, 0.2)  # m and rad beyond twice the limits, in a step: odometry that moved, not the robot
+JUMP = (
+    0.1,
+    0.2,
+)  # m and rad beyond twice the limits, in a step: odometry that moved, not the robot
 NUM_COMMANDS = 4  # last commands that a policy may read; after as many periods without any it stood
 
 

@@ -53,8 +53,8 @@ class PolicyRunner(Runner):
             follows the same arc, more slowly.
 
     Raises:
-        ValueError: for limits that are not positive, a lidar too coarse for the policy's sectors, or a
-            policy whose file does not tell what it senses.
+        ValueError: for limits that are not positive, a lidar too coarse for the policy's sectors, a
+            robot that is refused, or a policy whose file does not tell what it senses.
 
     Example:
         In a clone ``load_policy("recipes/policies/navigation")`` is a trained one.
@@ -97,7 +97,7 @@ class PolicyRunner(Runner):
         if policy.sensing is None:
             raise ValueError("the file of this policy does not tell what it senses.")
         lidar.check(policy.sensing)
-        self.robot = policy.sensing.robot(robot)
+        self.robot = lidar.robot(policy.sensing, robot)
         sensing, limits = policy.sensing, policy.limits
         if self.robot is not None:
             # Of such a policy, ranges are those of the lidar where it is, and limits those of the robot.

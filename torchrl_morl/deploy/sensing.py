@@ -15,6 +15,9 @@ __all__ = ["Limits", "Sensing"]
 NUM_ROBOT = 6
 """Numbers of a robot that a policy may read."""
 
+NUM_BASE = 3
+"""The first of them; the others are of its lidar."""
+
 NUM_MOTION = 2 + 2 * NUM_COMMANDS
 """Speeds and turn rates, measured and commanded, that come with them."""
 
@@ -143,8 +146,8 @@ class Sensing:
             return None
         if numbers is None:
             raise ValueError(
-                "this policy reads which robot it drives (sensing.observe_robot): give robot=, radius, "
-                "top speed, top turn rate, and the lidar's view, range and distance ahead of the centre."
+                "this policy reads which robot it drives (sensing.observe_robot): give robot=, its "
+                "radius (m), top speed (m/s) and top turn rate (rad/s)."
             )
         found = numbers_of("robot", numbers, "six numbers", NUM_ROBOT)
         check_robot_numbers(found)

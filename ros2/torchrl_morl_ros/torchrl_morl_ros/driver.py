@@ -62,7 +62,7 @@ class Driver:
             )
         if policy.sensing.observe_robot != any(settings.robot):
             allowed = (
-                "radius, top speed, top turn rate, and the lidar's view, range and distance ahead"
+                "radius (m), top speed (m/s) and top turn rate (rad/s)"
                 if policy.sensing.observe_robot
                 else "left out: this policy does not read which robot it drives"
             )

@@ -52,10 +52,10 @@ class Settings:
         (0.0, 0.0, 0.0), "x, y (m) and yaw (rad) of the lidar in base_frame_id, without tf2."
     )
     robot: tuple[float, ...] = _parameter(
-        (0.0,) * 6,
-        "For a policy that reads which robot it drives: radius (m), top speed (m/s), top turn rate "
-        "(rad/s), the lidar's view (rad), range (m) and distance ahead of the rotation centre (m); all "
-        "0 for other policies.",
+        (0.0,) * 3,
+        "For a policy that reads which robot it drives: radius (m), top speed (m/s) and top turn rate "
+        "(rad/s); behind them may stand the lidar's view (rad), range (m) and distance ahead of the rotation "
+        "centre (m), where less than it has is to count. All 0 for other policies.",
     )
     use_tf: bool = _parameter(
         True, "Where tf2_ros is installed: mount of the lidar, goals and humans in other frames."
@@ -87,10 +87,10 @@ class Settings:
                 raise self._refused(name, "0 or a positive number")
         if len(self.lidar_mount) != 3 or not all(map(math.isfinite, self.lidar_mount)):
             raise self._refused("lidar_mount", "x, y (m) and yaw (rad), three finite numbers")
-        if len(self.robot) != 6 or not all(map(math.isfinite, self.robot)):
-            raise self._refused("robot", "six finite numbers")
-        if any(self.robot) and min(self.robot[:-1]) < 1e-3:
-            raise self._refused("robot", "six numbers with radius, limits, view and range above 0")
+        if len(self.robot) not in (3, 6) or not all(map(math.isfinite, self.robot)):
+            raise self._refused("robot", "three finite numbers, or six")
+        if any(self.robot) and min(self.robot[:5]) < 1e-3:
+            raise self._refused("robot", "numbers with radius, limits, view and range above 0")
         if not 5 <= self.publish_rate <= 200:
             raise self._refused("publish_rate", "from 5 to 200 Hz")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
@@ -16,7 +17,8 @@ from tests import _any_robot as any_robot
 from torchrl_morl.deploy import PolicyRunner, load_policy
 
 from ._alike import LIMITS, check_command, check_velocities, drive
-from ._stops import LIDAR, step
+from ._stops import LIDAR as CENTRED
+from ._stops import step
 from .test_cpp import LIDARS, POLISHED
 
 pytestmark = pytest.mark.skipif(
@@ -30,6 +32,15 @@ ROBOTS = {
 }
 
 
+def carried_by(robot, lidar):
+    """The lidar where the robot says, which sees as far as the robot says."""
+    mount = (robot[5], *lidar.mount[1:])
+    return dataclasses.replace(lidar, mount=mount, range_max=max(robot[4], lidar.range_max))
+
+
+LIDAR = carried_by(any_robot.ROBOT, CENTRED)
+
+
 @pytest.fixture(scope="module")
 def of_any_robot(tmp_path_factory) -> Path:
     return any_robot.save(tmp_path_factory.mktemp("policies") / "any")
@@ -40,6 +51,8 @@ def of_any_robot(tmp_path_factory) -> Path:
 def test_its_commands_are_those_of_the_runner_for_any_robot(
     cpp_library, of_any_robot, robot, lidar
 ):
+    lidar = carried_by(robot, lidar)
+    robot = (*robot[:3], min(robot[3], abs(lidar.increment) * lidar.num_beams), *robot[4:])
     ours = PolicyRunner(load_policy(of_any_robot), lidar=lidar, robot=robot)
     other = CppRunner(cpp_library, of_any_robot, lidar=lidar, robot=robot)
     commands = drive(ours, other, lidar, 100)
@@ -51,7 +64,8 @@ def test_its_commands_are_those_of_the_runner_for_any_robot(
 
 def test_every_number_of_the_robot_matters(cpp_library, of_any_robot):
     def command(robot):
-        other = CppRunner(cpp_library, of_any_robot, lidar=LIDAR, robot=robot)
+        lidar = carried_by(robot, CENTRED)
+        other = CppRunner(cpp_library, of_any_robot, lidar=lidar, robot=robot)
         found = step(other, human_velocity=(0.3, 0.2))
         return found.speed, found.turn_rate
 
@@ -62,6 +76,48 @@ def test_every_number_of_the_robot_matters(cpp_library, of_any_robot):
         assert command(robot) != usual, entry
     # A lidar that sees further than scans are cut off at reads as one that sees as far.
     assert command((*any_robot.ROBOT[:4], 100.0, any_robot.ROBOT[5])) == usual
+
+
+@pytest.mark.parametrize("lidar", LIDARS.values(), ids=LIDARS)
+def test_three_numbers_and_what_the_lidar_says(cpp_library, of_any_robot, lidar):
+    base = any_robot.ROBOT[:3]
+    view = min(abs(lidar.increment) * lidar.num_beams, 2 * math.pi)
+    whole = (*base, view, lidar.range_max, lidar.mount[0])
+    for robot in (base, whole):
+        ours = PolicyRunner(load_policy(of_any_robot), lidar=lidar, robot=base)
+        assert ours.robot == pytest.approx(whole)
+        drive(ours, CppRunner(cpp_library, of_any_robot, lidar=lidar, robot=robot), lidar, 20)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "ours", "theirs"),
+    [
+        (
+            3,
+            4.4,
+            "the view of the lidar is 4.4 rad, but 4.189 rad of lidar=",
+            "view of the lidar is 4.4",
+        ),
+        (4, 9.0, "the range of the lidar is 9 m, but range_max=8 of lidar=", "range_max is 8"),
+        (
+            5,
+            0.0,
+            "the place ahead of the lidar is 0 m, but mount x=0.1 of lidar=",
+            "its mount is at 0.1",
+        ),
+    ],
+)
+def test_a_robot_that_contradicts_its_lidar(cpp_library, of_any_robot, entry, value, ours, theirs):
+    lidar = dataclasses.replace(any_robot.LIDAR, num_beams=120)
+    robot = [*any_robot.ROBOT[:3], 4.19, 8.0, 0.1]
+    PolicyRunner(load_policy(of_any_robot), lidar=lidar, robot=robot)
+    CppRunner(cpp_library, of_any_robot, lidar=lidar, robot=robot)
+    robot[entry] = value
+    with pytest.raises(ValueError, match=re.escape(ours)) as caught:
+        PolicyRunner(load_policy(of_any_robot), lidar=lidar, robot=robot)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match=re.escape(theirs)):
+        CppRunner(cpp_library, of_any_robot, lidar=lidar, robot=robot)
 
 
 def test_nobody_is_marked_where_nobody_is_reported(cpp_library, of_any_robot):

@@ -165,7 +165,7 @@ def test_odometry_that_jumps_is_no_motion(jump):
     go(runner, 0.4, tuple(there))
     assert runner.motion[:2] == (0.0, 0.0) and runner.motion[2:4] == (0.3, 0.1)
     if jump[0] < 1e20:  # further away 0.1 m is no difference
-        go(runner, 0.6, tuple(there + (0.1 * math.cos(jump[2]), 0.1 * math.sin(jump[2]), 0.0)))
+        go(runner, 0.6, there + np.array((0.1 * math.cos(jump[2]), 0.1 * math.sin(jump[2]), 0.0)))
         assert runner.motion[0] == pytest.approx(0.5)
 
 
@@ -180,7 +180,7 @@ def test_the_fastest_that_it_may_have_moved():
 @pytest.mark.parametrize("jump", [(0.4, 0.0, 0.0), *JUMPS])
 def test_a_person_does_not_walk_where_odometry_jumps(jump):
     """0.4 m are 2 m/s of the person, who could walk so; the robot cannot."""
-    runner = PolicyRunner(restless(ALL), lidar=LIDAR, robot=ROBOT[:1] + (0.5,) + ROBOT[2:])
+    runner = PolicyRunner(restless(ALL), lidar=LIDAR, robot=(ROBOT[0], 0.5, *ROBOT[2:]))
     given, seen = runner._command, []
     runner._command = lambda scan, inputs: seen.append(inputs) or given(scan, inputs)
     for time, x, y in ((0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.4, *jump[:2])):

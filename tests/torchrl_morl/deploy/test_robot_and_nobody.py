@@ -152,8 +152,20 @@ def test_the_command_line_is_told_the_robot(policy, tmp_path, capsys):
     arguments = [str(tmp_path / "policy"), "--onnx", str(tmp_path / "any.onnx")]
     with pytest.raises(SystemExit):
         main(arguments)
-    assert "give robot=, radius, top speed" in capsys.readouterr().err
+    assert "give robot=, its radius (m), top speed" in capsys.readouterr().err
     main([*arguments, "--robot", *map(str, ROBOT)])
+    main(
+        [
+            str(tmp_path / "policy"),
+            "--onnx",
+            str(tmp_path / "base.onnx"),
+            "--robot",
+            "0.2",
+            "0.5",
+            "3",
+        ]
+    )
+    assert OnnxRunner(tmp_path / "base.onnx").metadata["lidar"]["mount"] == [0.0, 0.0, 0.0]
     mount = OnnxRunner(tmp_path / "any.onnx").metadata["lidar"]["mount"]
     assert mount == pytest.approx([ROBOT[-1], 0.0, 0.0])
 
@@ -162,7 +174,11 @@ def test_the_command_line_is_told_the_robot(policy, tmp_path, capsys):
     ("sensing", "robot", "message"),
     [
         (SENSING, None, "this policy reads which robot it drives"),
-        (SENSING, ROBOT[:5], "robot must be six numbers, got"),
+        (
+            SENSING,
+            ROBOT[:5],
+            "robot must be three numbers, radius, top speed and top turn rate, or six, got",
+        ),
         (SENSING, (0.0, *ROBOT[1:]), "above 0, got"),
         (SENSING, (math.nan, *ROBOT[1:]), "robot must be finite, got"),
         *((SENSING, *one) for one in TOO_MUCH),
