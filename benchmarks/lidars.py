@@ -223,9 +223,7 @@ def drive(case: Case, policy: Policy, preference: np.ndarray, episodes: int, see
     rng = np.random.default_rng(seed)
     freezes = rng.integers(10, 40, episodes) if case.frozen else np.full(episodes, case.max_steps)
     numbers = told(policy, case, robot)
-    runners = [
-        WatchedRunner(policy, lidar=case.geometry, robot=numbers) for _ in range(episodes)
-    ]
+    runners = [WatchedRunner(policy, lidar=case.geometry, robot=numbers) for _ in range(episodes)]
     sensing = policy.sensing
     moves = sensing.observe_motion or sensing.observe_human_velocity
     data, done = env.reset(), np.zeros(episodes, dtype=bool)

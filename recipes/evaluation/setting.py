@@ -126,13 +126,21 @@ def choose(
     demonstrator(card, setting.robot)  # what it refuses is refused before anything is said
     print(f"{setting}")
     for name, value in changes.items():
-        before = getattr(trained, name)
-        if name != "scene" and value != before:
-            print(
-                f"note: --{name} {_named(value)} is not what the policy was trained with, "
-                f"{_named(before)}: this measures how well it transfers."
-            )
+        if name != "scene" and (unlike := _unlike(value, getattr(trained, name))):
+            print(f"note: --{name} {_named(value)} {unlike}: this measures how well it transfers.")
     return setting
+
+
+def _unlike(value: Robot | RobotRanges | str, trained: Robot | RobotRanges | str) -> str | None:
+    """How it is not what a policy was trained with; ``None`` if it is, or lies within its ranges."""
+    if value == trained:
+        return None
+    if not isinstance(trained, RobotRanges) or isinstance(value, str):
+        return f"is not what the policy was trained with, {_named(trained)}"
+    outside = trained.outside(value)
+    if not outside:
+        return None
+    return f"is outside of what the policy was trained with: {', '.join(outside)}"
 
 
 def scene_seed(text: str) -> int:
