@@ -16,7 +16,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -30,6 +29,7 @@ from envs.scene_files import get_scene
 from envs.scenes import HUMAN_RADIUS, Scene
 from recipes.arguments import Parser, episodes
 from recipes.evaluation.setting import scene_seed, trained_in
+from recipes.policy_folders import policy_folder
 from torchrl_morl.deploy import LidarGeometry, Policy, PolicyRunner, load_policy
 
 FULL = 2 * math.pi
@@ -294,7 +294,7 @@ def row(case: Case, parts: list[dict], same: bool) -> str:
 
 def main() -> None:
     parser = Parser(prog="lidars", description=__doc__)
-    parser.add_argument("--policy", type=Path, default=POLICY, help="folder of the policy")
+    parser.add_argument("--policy", type=policy_folder, default=POLICY, help="folder of the policy")
     parser.add_argument("--episodes", type=episodes, default=100, help="scenes for each preference")
     parser.add_argument("--seed", type=scene_seed, default=7, help="of the scenes")
     parser.add_argument("--only", nargs="+", help="rows whose name holds one of these words")

@@ -9,7 +9,6 @@ Examples::
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import get_args
 
 import torch
@@ -24,6 +23,7 @@ from torchrl_morl.preferences import PreferenceSpace
 from .arguments import Parser, count, episodes, number, share
 from .evaluation.setting import Setting, choose, demonstrator, scene_seed
 from .evaluation.sweep import SHIPPED_POLICY, Sweep, edge, sweep
+from .policy_folders import policy_folder
 
 
 def parse_preferences(texts: list[str], preference_space: PreferenceSpace) -> Tensor:
@@ -51,7 +51,9 @@ def parse_preferences(texts: list[str], preference_space: PreferenceSpace) -> Te
 def main() -> None:
     """Evaluate; ``--help`` lists the options."""
     parser = Parser(description=__doc__)
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument(
+        "--policy", type=policy_folder, default=SHIPPED_POLICY, help="folder of the policy"
+    )
     parser.add_argument(
         "--scene", help=f"{', '.join(SCENES)}, or a .yaml file (default: that of the training)"
     )

@@ -20,12 +20,15 @@ from .demo.film import film
 from .evaluation.setting import choose, demonstrator
 from .evaluation.sweep import SHIPPED_POLICY
 from .outputs import check_new_file
+from .policy_folders import policy_folder
 
 
 def main() -> None:
     """Film the corner preferences; ``--help`` lists the options."""
     parser = Parser(description=__doc__)
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument(
+        "--policy", type=policy_folder, default=SHIPPED_POLICY, help="folder of the policy"
+    )
     parser.add_argument("--scene", default="showcase", help=f"{', '.join(SCENES)}, or a .yaml file")
     parser.add_argument(
         "--robot", help=f"{', '.join(ROBOTS)}, or a .yaml file (default: that of the training)"

@@ -33,6 +33,7 @@ from ..arguments import Parser, count, existing_folder, seed
 from ..evaluation.setting import scene_seed
 from ..evaluation.sweep import SHIPPED_POLICY, Sweep
 from ..outputs import claim_folder
+from ..policy_folders import no_policy, policy_folder
 from .dialogue import KEYS, POSTERIOR, Dialogue
 from .rollouts import DRIVES, NUM_SCENES, SEED, obtain, usual_scene
 
@@ -69,7 +70,9 @@ def typed() -> Iterator[str]:
 def main() -> None:
     """Ask; ``--help`` lists the options."""
     parser = Parser(description=__doc__)
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument(
+        "--policy", type=policy_folder, default=SHIPPED_POLICY, help="folder of the policy"
+    )
     parser.add_argument(
         "--scene",
         nargs="+",
@@ -201,6 +204,8 @@ def all_drives(setting: dict, folder: Path) -> tuple[dict[str, Sweep], dict[str,
         ValueError: for a policy or a scene that is refused.
     """
     drives, radii = {}, {}
+    if why := no_policy(Path(setting["policy"])):  # of an earlier call, which may be gone since
+        raise ValueError(f"the policy of this dialogue is gone: {why}.")
     for scene in setting["scene"]:
         result, found = obtain(
             Path(setting["policy"]),

@@ -19,6 +19,7 @@ from recipes.evaluation.setting import demonstrator, scene_seed, trained_in
 from recipes.evaluation.sweep import SHIPPED_POLICY, edge, sweep
 from recipes.objectives import known
 from recipes.outputs import claim_folder
+from recipes.policy_folders import policy_folder
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import steerability
 
@@ -30,7 +31,9 @@ from .switch import switch
 def main() -> None:
     """Run the demo; ``--help`` lists the options."""
     parser = Parser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument(
+        "--policy", type=policy_folder, default=SHIPPED_POLICY, help="folder of the policy"
+    )
     parser.add_argument(
         "--output", type=Path, help="new folder (default: runs/demo, else runs/demo-2 and so on)"
     )
