@@ -21,7 +21,7 @@ from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
 from .arguments import Parser, count, episodes, number, share
-from .evaluation.setting import Setting, choose, demonstrator, scene_seed
+from .evaluation.setting import Setting, choose, demonstrator, reads_preference, scene_seed
 from .evaluation.sweep import SHIPPED_POLICY, Sweep, edge, sweep
 from .policy_folders import policy_folder
 
@@ -87,6 +87,8 @@ def main() -> None:
             preferences = parse_preferences(args.preferences, policy.preference_space)
         elif args.grid:
             preferences = policy.preference_space.pairwise_grid(11)
+        elif not reads_preference(policy.card):
+            preferences = policy.preference_space.corners().mean(0, keepdim=True)
         else:
             # From the last objective to the one before it: efficiency to distance.
             last = policy.preference_space.tunable[-1]
@@ -98,6 +100,8 @@ def main() -> None:
         setting = choose(policy.card, scene=args.scene, robot=args.robot, drive=args.drive)
     except (OSError, ValueError) as error:
         parser.error(str(error))
+    if not reads_preference(policy.card):
+        print("note: this policy does not read the preference, it drives the same under all")
     try:
         with tqdm.tqdm(total=len(preferences), unit="preference") as progress:
             result = sweep(

@@ -30,7 +30,7 @@ from torchrl_morl.choices import PreferencePosterior
 from torchrl_morl.deploy import load_policy
 
 from ..arguments import Parser, count, existing_folder, seed
-from ..evaluation.setting import scene_seed
+from ..evaluation.setting import reads_preference, scene_seed
 from ..evaluation.sweep import SHIPPED_POLICY, Sweep
 from ..outputs import claim_folder
 from ..policy_folders import no_policy, policy_folder
@@ -146,9 +146,15 @@ def started(args: Namespace) -> Dialogue:
     names = [get_scene(scene).name for scene in args.scene or ()]
     if len(set(names)) < len(names):
         raise ValueError(f"--scene {' '.join(args.scene)} names a scene twice: {', '.join(names)}.")
+    card = load_policy(args.policy).card
+    if not reads_preference(card):
+        raise ValueError(
+            f"--policy {args.policy} does not read the preference: all its drives are the same, there "
+            "is nothing to choose."
+        )
     setting = {
         "policy": str(args.policy),
-        "scene": args.scene or [usual_scene(load_policy(args.policy).card)],
+        "scene": args.scene or [usual_scene(card)],
         "scenes": args.scenes,
         "seed": args.seed,
         "question_seed": args.question_seed,

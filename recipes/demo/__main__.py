@@ -15,7 +15,7 @@ import tqdm
 
 from envs.rendering import gl_context_type
 from recipes.arguments import Parser, count
-from recipes.evaluation.setting import demonstrator, scene_seed, trained_in
+from recipes.evaluation.setting import demonstrator, reads_preference, scene_seed, trained_in
 from recipes.evaluation.sweep import SHIPPED_POLICY, edge, sweep
 from recipes.objectives import known
 from recipes.outputs import claim_folder
@@ -63,6 +63,31 @@ def main() -> None:
         parser.error(str(error))
     print(f"output {output}\n{setting}")
     showroom = {**setting.arguments, "scene": "showcase"}
+    if not reads_preference(policy.card):
+        print(
+            "this policy does not read the preference: it drives the same under all, one row here"
+        )
+        any_one = policy.preference_space.corners().mean(0, keepdim=True)
+        result = sweep(
+            policy.actor,
+            policy.preference_space,
+            any_one,
+            episodes=args.episodes,
+            seed=args.seed,
+            demonstrator=shown,
+            **setting.arguments,
+        )
+        print(result.table())
+        movie = film(
+            output / "drive.gif",
+            policy.actor,
+            policy.preference_space,
+            any_one,
+            demonstrator=shown,
+            **showroom,
+        )
+        print(f"film: {movie}")
+        return
 
     # The rows of the paper: each trades two objectives off, the others have no weight.
     edges = policy.preference_space.pairwise_grid(args.steps).unflatten(0, (-1, args.steps))
@@ -147,7 +172,8 @@ def steered(row: Row) -> str:
         tunable = row.statistics.preference_space.tunable
         weight = row.statistics.preferences[:, tunable.index(objective.name)]
         rho = steerability(weight, row.statistics.mean(objective.metric))
-        parts.append(f"{objective.name} -> {objective.metric}: {rho:+.2f}")
+        how = "no change" if math.isnan(rho) else f"{rho:+.2f}"
+        parts.append(f"{objective.name} -> {objective.metric}: {how}")
     return "Spearman rho of weight and mean metric: " + ", ".join(parts)
 
 

@@ -67,8 +67,9 @@ def main() -> None:
             raise ValueError(
                 f"{args.policy}: its file does not tell what it senses: save it again."
             )
-        setting = choose(policy.card, scene=args.scene, robot=args.robot, drive=args.drive)
-        setting = setting.with_one_robot
+        setting = choose(
+            policy.card, scene=args.scene, robot=args.robot, drive=args.drive, one_robot=True
+        )
         check_policy(policy, setting.arguments)
         simulation = LiveSimulation(policy, setting, seed=args.seed)
         server = viser.ViserServer(

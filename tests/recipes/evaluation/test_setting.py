@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import recipes.evaluate
-from envs import get_robot
+from envs import TURTLEBOT2, get_robot
 from recipes.evaluation.setting import choose, demonstrator, scene_seed, trained_in
 from recipes.results.systems import load_system
 
@@ -91,6 +91,15 @@ def test_a_robot_outside_of_the_ranges_is_told_which_number_is(robot, outside, c
         f"note: --robot mine is outside of what the policy was trained with: {outside}: this "
         "measures how well it transfers."
     )
+
+
+def test_the_robot_that_drives_is_named(capsys):
+    assert choose(ANY, one_robot=True).robot == TURTLEBOT2
+    assert "robot turtlebot2, drive" in capsys.readouterr().out
+    choose(ANY, robot={"name": "mine", "radius": [0.2, 0.3]}, one_robot=True)
+    assert "robot turtlebot2, drive" in capsys.readouterr().out
+    choose(ANY)
+    assert "robot any (another in every episode), drive" in capsys.readouterr().out
 
 
 def test_another_robot_than_the_one_of_the_training_is_noted(capsys):
