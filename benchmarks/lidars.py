@@ -6,6 +6,9 @@ native scan of 720 beams.
 
     python -m benchmarks.lidars                       # 100 scenes, 4 preferences, about ten minutes
     python -m benchmarks.lidars --episodes 10 --only 360 clockwise
+    python -m benchmarks.lidars --policy recipes/policies/navigation
+
+A policy that reads which robot it drives is told that of each row: a TurtleBot 2 with that lidar.
 """
 
 from __future__ import annotations
@@ -13,7 +16,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -22,11 +24,12 @@ import tqdm
 from benchmarks import POLICY
 from envs import NavigationEnv
 from envs.lidar import MIN_RANGE, Lidar
-from envs.robots import Robot, get_robot
+from envs.robots import Robot
 from envs.scene_files import get_scene
 from envs.scenes import HUMAN_RADIUS, Scene
 from recipes.arguments import Parser, episodes
-from recipes.evaluation.setting import scene_seed
+from recipes.evaluation.setting import scene_seed, trained_in
+from recipes.policy_folders import policy_folder
 from torchrl_morl.deploy import LidarGeometry, Policy, PolicyRunner, load_policy
 
 FULL = 2 * math.pi
@@ -70,6 +73,13 @@ class Case:
         increment = FULL / self.per_revolution * (-1 if self.clockwise else 1)
         near = MIN_RANGE / 2
         return LidarGeometry(self.start, increment, self.beams, near, self.range_max, self.mount)
+
+    @property
+    def view(self) -> float:
+        """From the first beam to the last, radians."""
+        if self.beams == self.per_revolution:
+            return FULL
+        return FULL * (self.beams - 1) / self.per_revolution
 
 
 def some(value: float, share: float = 0.05) -> Callable:
@@ -166,10 +176,40 @@ def scan(data, case: Case, robot: Robot) -> np.ndarray:
     return np.minimum(ranges[:, index], case.range_max)
 
 
+def told(policy: Policy, case: Case, robot: Robot) -> tuple[float, ...] | None:
+    """What a policy is told of the robot with the lidar of a case, as ``robot=``; ``None`` if it reads none."""
+    if not policy.sensing.observe_robot:
+        return None
+    base = robot.radius, robot.max_speed, robot.max_turn_rate
+    return (*base, case.view, case.range_max, case.mount[0])
+
+
+class WatchedRunner(PolicyRunner):
+    """Keeps what its policy read beside the scan: ``inputs``, arguments of :meth:`Policy.act`."""
+
+    def _command(self, scan: np.ndarray, inputs: dict) -> tuple[float, float]:
+        self.inputs = inputs
+        return super()._command(scan, inputs)
+
+
+def native_commands(
+    policy: Policy, native: Case, robot: Robot, ranges: np.ndarray, runners: list[WatchedRunner]
+) -> np.ndarray:
+    """What the policy commands where the runners are if it sees the native scans ``[N, 720]`` instead."""
+    numbers = told(policy, native, robot)
+    sensing = policy.sensing if numbers is None else policy.sensing.of_robot(numbers)
+    shape = sensing.num_sectors, sensing.max_range, sensing.lidar_origin
+    read = [{k: v for k, v in runner.inputs.items() if v is not None} for runner in runners]
+    inputs = {name: np.stack([one[name] for one in read]) for name in read[0]}
+    if numbers is not None:
+        inputs["robot"] = np.tile(numbers, (len(runners), 1))
+    return policy.act(lidar=native.geometry.sectors(ranges, *shape), **inputs)
+
+
 @torch.no_grad()
 def drive(case: Case, policy: Policy, preference: np.ndarray, episodes: int, seed: int) -> dict:
     """Drive all scenes under one preference; which ended how, and the largest difference."""
-    robot = get_robot(policy.robot)
+    robot = trained_in(policy.card).with_one_robot.robot
     env = NavigationEnv(
         num_envs=episodes,
         scene=case.scene,
@@ -182,7 +222,10 @@ def drive(case: Case, policy: Policy, preference: np.ndarray, episodes: int, see
         case = dataclasses.replace(case, mount=native.mount)
     rng = np.random.default_rng(seed)
     freezes = rng.integers(10, 40, episodes) if case.frozen else np.full(episodes, case.max_steps)
-    runners = [PolicyRunner(policy, lidar=case.geometry) for _ in range(episodes)]
+    numbers = told(policy, case, robot)
+    runners = [WatchedRunner(policy, lidar=case.geometry, robot=numbers) for _ in range(episodes)]
+    sensing = policy.sensing
+    moves = sensing.observe_motion or sensing.observe_human_velocity
     data, done = env.reset(), np.zeros(episodes, dtype=bool)
     ends = {name: np.zeros(episodes, dtype=bool) for name in ("success", "collision")}
     steps, difference, held = np.full(episodes, np.nan), np.zeros(2), [None] * episodes
@@ -191,11 +234,13 @@ def drive(case: Case, policy: Policy, preference: np.ndarray, episodes: int, see
         if case.spoil is not None:
             case.spoil(ranges, rng)
         goal, human = data["goal"].numpy(), data["human"].numpy()
+        poses = data["pose"].numpy()
         commands = np.zeros((episodes, 2))
         driving = np.zeros(episodes, dtype=bool)
         for index in np.flatnonzero(~done):
             now = step * policy.period
-            inputs = (now, ranges[index], goal[index], human[index])
+            odometry = poses[index] if moves else None
+            inputs = (now, ranges[index], goal[index], human[index], odometry)
             if freezes[index] < step <= freezes[index] + 20:
                 inputs = held[index]
             held[index] = inputs
@@ -203,6 +248,7 @@ def drive(case: Case, policy: Policy, preference: np.ndarray, episodes: int, see
                 inputs[1],
                 goal=inputs[2],
                 human=None if case.nobody else inputs[3],
+                odometry=inputs[4],
                 preference=preference,
                 stamp=inputs[0],
                 time=now,
@@ -210,13 +256,12 @@ def drive(case: Case, policy: Policy, preference: np.ndarray, episodes: int, see
             commands[index] = command.speed, command.turn_rate
             driving[index] = command.reason == "drive"
         if driving.any() and not (case.nobody or case.frozen):
-            sensing = policy.sensing
-            shape = (sensing.num_sectors, sensing.max_range, sensing.lidar_origin)
-            reference = policy.act(
-                preference=preference,
-                lidar=native.geometry.sectors(scan(data, native, robot)[driving], *shape),
-                goal=goal[driving],
-                human=human[driving],
+            reference = native_commands(
+                policy,
+                native,
+                robot,
+                scan(data, native, robot)[driving],
+                [runners[index] for index in np.flatnonzero(driving)],
             )
             difference = np.maximum(difference, abs(commands[driving] - reference).max(0))
         data["action"] = torch.from_numpy(commands).to(env.dtype)
@@ -249,7 +294,7 @@ def row(case: Case, parts: list[dict], same: bool) -> str:
 
 def main() -> None:
     parser = Parser(prog="lidars", description=__doc__)
-    parser.add_argument("--policy", type=Path, default=POLICY, help="folder of the policy")
+    parser.add_argument("--policy", type=policy_folder, default=POLICY, help="folder of the policy")
     parser.add_argument("--episodes", type=episodes, default=100, help="scenes for each preference")
     parser.add_argument("--seed", type=scene_seed, default=7, help="of the scenes")
     parser.add_argument("--only", nargs="+", help="rows whose name holds one of these words")
@@ -263,11 +308,7 @@ def main() -> None:
         policy = load_policy(args.policy)
         if policy.sensing is None:
             raise ValueError(f"{args.policy} does not tell what it senses.")
-        if policy.sensing.observe_robot:
-            raise ValueError(
-                f"{args.policy} reads which robot it drives: the lidars here are on the one robot of a "
-                f"training; choose a policy such as {POLICY.name}."
-            )
+        trained_in(policy.card)  # what it refuses is refused before anything is driven
     except (OSError, ValueError) as error:
         parser.error(str(error))
     space = policy.preference_space

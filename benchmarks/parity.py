@@ -31,6 +31,7 @@ from envs.policy_env import make_policy_env
 from envs.robots import get_robot
 from recipes.arguments import Parser, count, episodes
 from recipes.evaluation.setting import scene_seed
+from recipes.policy_folders import policy_folder
 from torchrl_morl._extras import from_extra
 from torchrl_morl.deploy import (
     LidarGeometry,
@@ -208,7 +209,7 @@ def latency(way: Way, readings: Readings, calls: int) -> float:
 
 def main() -> None:
     parser = Parser(prog="parity", description=__doc__)
-    parser.add_argument("--policy", type=Path, default=POLICY, help="folder of the policy")
+    parser.add_argument("--policy", type=policy_folder, default=POLICY, help="folder of the policy")
     parser.add_argument("--inputs", type=count(100), default=10_000, help="random inputs")
     parser.add_argument("--episodes", type=episodes, default=50, help="scenes for each preference")
     parser.add_argument("--calls", type=count(10), default=5_000, help="timed calls of each way")

@@ -27,6 +27,10 @@ DRIVEN = (
 )
 """What robots of one batch may differ in. A policy may be told the first six."""
 
+# A file says 3.1416 and means half a revolution.
+_ROUNDING = 1e-3
+_UNITS = ("m", "m/s", "rad/s", "rad", "m", "of the radius", "s", "s")
+
 
 @dataclasses.dataclass(frozen=True)
 class RobotRanges:
@@ -101,6 +105,40 @@ class RobotRanges:
     def largest(self) -> Robot:
         """The one with the high end of each range."""
         return self._end(1)
+
+    def outside(self, robot: Robot | RobotRanges, *, max_range: float = 4.0) -> list[str]:
+        """What of a robot, or of other ranges, is not within these, in words; empty if all is.
+
+        Args:
+            robot: a robot, or ranges.
+
+        Keyword Args:
+            max_range: that scans are cut off at, metres: a lidar that sees further sees as far.
+
+        Examples:
+            >>> ANY_ROBOT.outside(Robot("mine", radius=0.5))
+            ['radius 0.5 m (trained: 0.12 to 0.35 m)']
+        """
+        found = []
+        for name, unit in zip(DRIVEN, _UNITS, strict=True):
+            low, high = getattr(self, name)
+            if isinstance(robot, RobotRanges):
+                ends = getattr(robot, name)
+            else:
+                share = robot.radius if name == "lidar_offset" else 1.0
+                ends = (getattr(robot, name) / share,) * 2
+            if name == "lidar_range":
+                cut = min(ends[0], max_range), min(ends[1], max_range)
+                inside = min(low, max_range) <= cut[0] and cut[1] <= min(high, max_range)
+            else:
+                inside = low - _ROUNDING <= ends[0] and ends[1] <= high + _ROUNDING
+            if not inside:
+                given = (
+                    f"{ends[0]:.4g}" if ends[0] == ends[1] else f"{ends[0]:.4g} to {ends[1]:.4g}"
+                )
+                trained = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+                found.append(f"{name} {given} {unit} (trained: {trained} {unit})")
+        return found
 
     def draw(
         self, n: int, generator: torch.Generator, slowest: torch.Tensor | None = None

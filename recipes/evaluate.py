@@ -9,7 +9,6 @@ Examples::
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import get_args
 
 import torch
@@ -22,8 +21,9 @@ from torchrl_morl.deploy import load_policy
 from torchrl_morl.preferences import PreferenceSpace
 
 from .arguments import Parser, count, episodes, number, share
-from .evaluation.setting import Setting, choose, demonstrator, scene_seed
+from .evaluation.setting import Setting, choose, demonstrator, reads_preference, scene_seed
 from .evaluation.sweep import SHIPPED_POLICY, Sweep, edge, sweep
+from .policy_folders import policy_folder
 
 
 def parse_preferences(texts: list[str], preference_space: PreferenceSpace) -> Tensor:
@@ -51,7 +51,9 @@ def parse_preferences(texts: list[str], preference_space: PreferenceSpace) -> Te
 def main() -> None:
     """Evaluate; ``--help`` lists the options."""
     parser = Parser(description=__doc__)
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument(
+        "--policy", type=policy_folder, default=SHIPPED_POLICY, help="folder of the policy"
+    )
     parser.add_argument(
         "--scene", help=f"{', '.join(SCENES)}, or a .yaml file (default: that of the training)"
     )
@@ -85,6 +87,8 @@ def main() -> None:
             preferences = parse_preferences(args.preferences, policy.preference_space)
         elif args.grid:
             preferences = policy.preference_space.pairwise_grid(11)
+        elif not reads_preference(policy.card):
+            preferences = policy.preference_space.corners().mean(0, keepdim=True)
         else:
             # From the last objective to the one before it: efficiency to distance.
             last = policy.preference_space.tunable[-1]
@@ -96,6 +100,8 @@ def main() -> None:
         setting = choose(policy.card, scene=args.scene, robot=args.robot, drive=args.drive)
     except (OSError, ValueError) as error:
         parser.error(str(error))
+    if not reads_preference(policy.card):
+        print("note: this policy does not read the preference, it drives the same under all")
     try:
         with tqdm.tqdm(total=len(preferences), unit="preference") as progress:
             result = sweep(

@@ -30,9 +30,10 @@ from torchrl_morl.choices import PreferencePosterior
 from torchrl_morl.deploy import load_policy
 
 from ..arguments import Parser, count, existing_folder, seed
-from ..evaluation.setting import scene_seed
+from ..evaluation.setting import reads_preference, scene_seed
 from ..evaluation.sweep import SHIPPED_POLICY, Sweep
 from ..outputs import claim_folder
+from ..policy_folders import no_policy, policy_folder
 from .dialogue import KEYS, POSTERIOR, Dialogue
 from .rollouts import DRIVES, NUM_SCENES, SEED, obtain, usual_scene
 
@@ -69,7 +70,9 @@ def typed() -> Iterator[str]:
 def main() -> None:
     """Ask; ``--help`` lists the options."""
     parser = Parser(description=__doc__)
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument(
+        "--policy", type=policy_folder, default=SHIPPED_POLICY, help="folder of the policy"
+    )
     parser.add_argument(
         "--scene",
         nargs="+",
@@ -143,9 +146,15 @@ def started(args: Namespace) -> Dialogue:
     names = [get_scene(scene).name for scene in args.scene or ()]
     if len(set(names)) < len(names):
         raise ValueError(f"--scene {' '.join(args.scene)} names a scene twice: {', '.join(names)}.")
+    card = load_policy(args.policy).card
+    if not reads_preference(card):
+        raise ValueError(
+            f"--policy {args.policy} does not read the preference: all its drives are the same, there "
+            "is nothing to choose."
+        )
     setting = {
         "policy": str(args.policy),
-        "scene": args.scene or [usual_scene(load_policy(args.policy).card)],
+        "scene": args.scene or [usual_scene(card)],
         "scenes": args.scenes,
         "seed": args.seed,
         "question_seed": args.question_seed,
@@ -201,6 +210,8 @@ def all_drives(setting: dict, folder: Path) -> tuple[dict[str, Sweep], dict[str,
         ValueError: for a policy or a scene that is refused.
     """
     drives, radii = {}, {}
+    if why := no_policy(Path(setting["policy"])):  # of an earlier call, which may be gone since
+        raise ValueError(f"the policy of this dialogue is gone: {why}.")
     for scene in setting["scene"]:
         result, found = obtain(
             Path(setting["policy"]),

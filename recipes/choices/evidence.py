@@ -26,6 +26,7 @@ from ..arguments import Parser, count, seed
 from ..evaluation.setting import Setting, scene_seed
 from ..evaluation.sweep import SHIPPED_POLICY, Sweep
 from ..outputs import claim_folder
+from ..policy_folders import policy_folder
 from .people import KINDS, OBJECTIVES, Drives, people
 from .rollouts import arrived, joint_outcomes, obtain
 from .trials import AFTER, Mind, Place, asked, compared, in_contexts, stated
@@ -190,7 +191,9 @@ def table(rows: dict[str, list[dict[str, float]]]) -> str:
 def main() -> None:
     """Run; ``--help`` lists the options."""
     parser = Parser(description=__doc__)
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument(
+        "--policy", type=policy_folder, default=SHIPPED_POLICY, help="folder of the policy"
+    )
     parser.add_argument("--people", type=count(2, 10_000), default=40, help="of each kind")
     parser.add_argument("--people-seed", type=seed, default=0, help="of the people")
     parser.add_argument("--known", type=count(2, 1000), default=60, help="scenes of the questions")

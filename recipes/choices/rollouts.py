@@ -103,7 +103,7 @@ def obtain(
         ValueError: for a policy, a scene or a file that is refused.
     """
     policy = load_policy(policy_folder)
-    setting = choose(policy.card, scene=scene).with_one_robot
+    setting = choose(policy.card, scene=scene, one_robot=True)
     request = Request(
         policy=file_checksum(policy_folder / "policy.safetensors"),
         setting=described(setting, scene),

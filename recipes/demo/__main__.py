@@ -15,10 +15,11 @@ import tqdm
 
 from envs.rendering import gl_context_type
 from recipes.arguments import Parser, count
-from recipes.evaluation.setting import demonstrator, scene_seed, trained_in
+from recipes.evaluation.setting import demonstrator, reads_preference, scene_seed, trained_in
 from recipes.evaluation.sweep import SHIPPED_POLICY, edge, sweep
 from recipes.objectives import known
 from recipes.outputs import claim_folder
+from recipes.policy_folders import policy_folder
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.evaluation import steerability
 
@@ -30,7 +31,9 @@ from .switch import switch
 def main() -> None:
     """Run the demo; ``--help`` lists the options."""
     parser = Parser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument(
+        "--policy", type=policy_folder, default=SHIPPED_POLICY, help="folder of the policy"
+    )
     parser.add_argument(
         "--output", type=Path, help="new folder (default: runs/demo, else runs/demo-2 and so on)"
     )
@@ -60,6 +63,31 @@ def main() -> None:
         parser.error(str(error))
     print(f"output {output}\n{setting}")
     showroom = {**setting.arguments, "scene": "showcase"}
+    if not reads_preference(policy.card):
+        print(
+            "this policy does not read the preference: it drives the same under all, one row here"
+        )
+        any_one = policy.preference_space.corners().mean(0, keepdim=True)
+        result = sweep(
+            policy.actor,
+            policy.preference_space,
+            any_one,
+            episodes=args.episodes,
+            seed=args.seed,
+            demonstrator=shown,
+            **setting.arguments,
+        )
+        print(result.table())
+        movie = film(
+            output / "drive.gif",
+            policy.actor,
+            policy.preference_space,
+            any_one,
+            demonstrator=shown,
+            **showroom,
+        )
+        print(f"film: {movie}")
+        return
 
     # The rows of the paper: each trades two objectives off, the others have no weight.
     edges = policy.preference_space.pairwise_grid(args.steps).unflatten(0, (-1, args.steps))
@@ -144,7 +172,8 @@ def steered(row: Row) -> str:
         tunable = row.statistics.preference_space.tunable
         weight = row.statistics.preferences[:, tunable.index(objective.name)]
         rho = steerability(weight, row.statistics.mean(objective.metric))
-        parts.append(f"{objective.name} -> {objective.metric}: {rho:+.2f}")
+        how = "no change" if math.isnan(rho) else f"{rho:+.2f}"
+        parts.append(f"{objective.name} -> {objective.metric}: {how}")
     return "Spearman rho of weight and mean metric: " + ", ".join(parts)
 
 

@@ -35,6 +35,7 @@ from envs.splits import check_test_seed
 from recipes.arguments import Parser, episodes, existing_folder, number, seed
 from recipes.objectives import DEMO
 from recipes.outputs import claim_folder
+from recipes.policy_folders import policy_folder
 from torchrl_morl.deploy import load_policy, load_reward_model
 from torchrl_morl.modules import RewardModel
 
@@ -83,7 +84,7 @@ def main() -> None:
     parser = Parser(description=__doc__)
     parser.add_argument("model", type=existing_folder, help="folder of a reward model")
     parser.add_argument(
-        "--policies", type=existing_folder, nargs="+", default=[], help="folders of policies"
+        "--policies", type=policy_folder, nargs="+", default=[], help="folders of policies"
     )
     parser.add_argument(
         "--noise",

@@ -65,8 +65,10 @@ class Setting:
         return dataclasses.replace(self, scene=get_scene("static"))
 
     def __str__(self) -> str:
+        several = isinstance(self.robot, RobotRanges)
+        robot = f"{self.robot.name} (another in every episode)" if several else self.robot.name
         return (
-            f"scene {self.scene.name}, robot {self.robot.name}, drive {self.drive}, "
+            f"scene {self.scene.name}, robot {robot}, drive {self.drive}, "
             f"goal radius {self.goal_radius:g} m"
         )
 
@@ -111,8 +113,12 @@ def choose(
     scene: str | None = None,
     robot: str | None = None,
     drive: str | None = None,
+    one_robot: bool = False,
 ) -> Setting:
     """The setting of the card, but for what is given; says which, and what that means.
+
+    Keyword Args:
+        one_robot: for what shows one: :attr:`Setting.with_one_robot`.
 
     Raises:
         ValueError: for a scene or robot that does not exist, or a card that :func:`trained_in` or
@@ -123,16 +129,38 @@ def choose(
     parse = {"scene": get_scene, "robot": get_robots, "drive": str}
     changes = {name: parse[name](value) for name, value in given.items() if value is not None}
     setting = dataclasses.replace(trained, **changes)
+    if one_robot:
+        setting = setting.with_one_robot
     demonstrator(card, setting.robot)  # what it refuses is refused before anything is said
     print(f"{setting}")
+    if "robot" in changes:
+        changes["robot"] = setting.robot  # of ranges, the one that drives
     for name, value in changes.items():
-        before = getattr(trained, name)
-        if name != "scene" and value != before:
-            print(
-                f"note: --{name} {_named(value)} is not what the policy was trained with, "
-                f"{_named(before)}: this measures how well it transfers."
-            )
+        if name != "scene" and (unlike := _unlike(value, getattr(trained, name))):
+            print(f"note: --{name} {_named(value)} {unlike}: this measures how well it transfers.")
     return setting
+
+
+def _unlike(value: Robot | RobotRanges | str, trained: Robot | RobotRanges | str) -> str | None:
+    """How it is not what a policy was trained with; ``None`` if it is, or lies within its ranges."""
+    if value == trained:
+        return None
+    if not isinstance(trained, RobotRanges) or isinstance(value, str):
+        return f"is not what the policy was trained with, {_named(trained)}"
+    outside = trained.outside(value)
+    if not outside:
+        return None
+    return f"is outside of what the policy was trained with: {', '.join(outside)}"
+
+
+def reads_preference(card: Mapping[str, Any]) -> bool:
+    """Whether a policy drives otherwise under another preference; not if its training ignored it.
+
+    Examples:
+        >>> reads_preference({}), reads_preference({"preference": "ignored"})
+        (True, False)
+    """
+    return card.get("preference") != "ignored"
 
 
 def scene_seed(text: str) -> int:

@@ -61,9 +61,11 @@ class Sweep:
 
             weights = "  ".join(f"{value:10.2f}" for value in preference)
             solved = int(metrics["success"].sum())
-            time = f"{metrics['time'].nanmean():.2f} s ({solved})"
+            # Nobody arrived, or nobody was there: no mean, said so instead of nan.
+            time = f"{metrics['time'].nanmean():.2f} s ({solved})" if solved else "- (0)"
             near = metrics["min_human_distance"]
-            near = f"{near.nanmean():.2f} m ({int((~near.isnan()).sum())})"
+            seen = int((~near.isnan()).sum())
+            near = f"{near.nanmean():.2f} m ({seen})" if seen else "- (0)"
             lines.append(
                 f"{weights}  {percent('success'):>8}  {percent('collision_human'):>9}"
                 f"  {percent('collision_obstacle'):>8}  {percent('timeout'):>8}"
@@ -71,9 +73,8 @@ class Sweep:
             )
             if self.demonstration is not None:
                 free = self.demonstration["free"]
-                lines[-1] += (
-                    f"  {metrics['frechet'][free].mean():6.2f} m ({int(free.sum())})".rjust(19)
-                )
+                shown = f"{metrics['frechet'][free].mean():6.2f} m" if free.any() else "-"
+                lines[-1] += f"  {shown} ({int(free.sum())})".rjust(19)
                 lines[-1] += f"  {metrics['frechet'].mean():5.2f} m ({count})".rjust(14)
         return "\n".join(lines)
 

@@ -12,7 +12,6 @@ robot and drive runs that ``recipes.evaluate`` takes. Needs viser: ``pip install
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +22,7 @@ from envs.policy_env import check_policy
 from recipes.arguments import Parser, count, seed
 from recipes.evaluation.setting import choose
 from recipes.evaluation.sweep import SHIPPED_POLICY
+from recipes.policy_folders import policy_folder
 from torchrl_morl.deploy import load_policy
 from torchrl_morl.geometry import wrap_angle
 
@@ -38,7 +38,9 @@ PAUSE_AT_THE_END = 2.0
 def main() -> None:
     """Serve it until Ctrl-C; ``--help`` lists the options."""
     parser = Parser(prog="python -m recipes.live", description=__doc__)
-    parser.add_argument("--policy", type=Path, default=SHIPPED_POLICY, help="folder of the policy")
+    parser.add_argument(
+        "--policy", type=policy_folder, default=SHIPPED_POLICY, help="folder of the policy"
+    )
     parser.add_argument("--scene", default="showcase", help=f"{', '.join(SCENES)}, or a .yaml file")
     parser.add_argument(
         "--robot", help=f"{', '.join(ROBOTS)}, or a .yaml file (default: that of the training)"
@@ -65,8 +67,9 @@ def main() -> None:
             raise ValueError(
                 f"{args.policy}: its file does not tell what it senses: save it again."
             )
-        setting = choose(policy.card, scene=args.scene, robot=args.robot, drive=args.drive)
-        setting = setting.with_one_robot
+        setting = choose(
+            policy.card, scene=args.scene, robot=args.robot, drive=args.drive, one_robot=True
+        )
         check_policy(policy, setting.arguments)
         simulation = LiveSimulation(policy, setting, seed=args.seed)
         server = viser.ViserServer(

@@ -14,8 +14,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from recipes.arguments import Parser, count, existing_folder
+from recipes.arguments import Parser, count
 from recipes.outputs import choose_file
+from recipes.policy_folders import policy_folder
 
 from .choices import choices
 from .contents import NUM_SCENES, SCENES, SHIPPED, contents
@@ -27,7 +28,7 @@ def main() -> None:
     parser = Parser(prog="python -m recipes.page", description=__doc__)
     parser.add_argument(
         "--policy",
-        type=existing_folder,
+        type=policy_folder,
         nargs="+",
         default=list(SHIPPED),
         metavar="FOLDER",

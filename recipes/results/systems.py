@@ -17,6 +17,7 @@ from torchrl_morl.preferences import PreferenceSpace
 
 from ..evaluation.references import make_reference
 from ..evaluation.setting import demonstration, demonstration_on, trained_in
+from ..policy_folders import no_policy
 
 _REFERENCE = "reference:"
 
@@ -116,6 +117,9 @@ def load_system(argument: str) -> System:
         make_reference(reference)  # an unknown one is an error now, not hours later
         return untrained(name, lambda robot: make_reference(reference, robot))
     paths = [Path(folder) for folder in folders.split(",")]
+    for path in paths:
+        if why := no_policy(path):
+            raise FileNotFoundError(f"{name}: {why}.")
     policies = [load_policy(path) for path in paths]
     seeds = _seeds([policy.card for policy in policies])
     members, facts = [], []

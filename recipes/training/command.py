@@ -34,6 +34,7 @@ from pydantic import BaseModel
 
 from . import quiet, run_folder, stopping
 from .command_help import help_text
+from .descriptions import copy_descriptions
 from .foreign import refuse_foreign
 from .overrides import importing, jobs, prepared, resumed
 from .stopping import Stopped, stop_requested, undisturbed, until_stopped
@@ -291,6 +292,8 @@ class _Command:
                         held.enter_context(run_folder.held(folder))
                     held.enter_context(quiet.torchrl())
                     held.enter_context(quiet.plain_warnings(keep=self.debug))
+                    config = OmegaConf.to_container(cfg, resolve=True)
+                    copy_descriptions(folder, config, now.overrides.task)
                     self.main(cfg)
             except Exception as error:
                 raise _InJob(error) from None

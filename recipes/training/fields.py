@@ -14,6 +14,7 @@ from envs.faults import get_faults
 from envs.objectives import check_objectives, get_rewards
 from envs.splits import VALIDATION_SEEDS
 from recipes.objectives import reward_objectives
+from recipes.policy_folders import no_policy
 
 
 class Section(BaseModel):
@@ -52,7 +53,9 @@ class IsPath:
             ValueError: if it is not there; names the field and the path.
         """
         path = Path(value)
-        if self.kind in ("policy", "reward_model"):
+        if self.kind == "policy" and (why := no_policy(path)):
+            raise ValueError(f"{field}={value}: {why}.")
+        if self.kind == "reward_model":
             weights, card = (f"{self.kind}.{ending}" for ending in ("safetensors", "json"))
             for file in (path / weights, path / card):
                 if not file.is_file():

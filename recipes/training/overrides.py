@@ -11,6 +11,7 @@ import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from pydantic import BaseModel
 
+from .descriptions import with_own_copies
 from .quoting import in_quotes, is_harmless, is_of_hydra, is_sweep, quoted, reads_as
 from .validation import ConfigurationError, leaves, unknown_field
 
@@ -133,7 +134,7 @@ def resumed(overrides: Sequence[str], schema: type[BaseModel], folder: Path) -> 
         raise ConfigurationError(
             f"{file}: {asks[0]} imports a module, which is not taken from a folder; give it yourself."
         )
-    kept = [one for one in kept if _key(one) != "resume"]
+    kept = with_own_copies(run, [one for one in kept if _key(one) != "resume"])
     place = () if any(one.startswith("hydra.run.dir=") for one in overrides) else (run,)
     return [*kept, *overrides, *(f"hydra.run.dir={quoted(one)}" for one in place)]
 

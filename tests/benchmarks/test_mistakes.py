@@ -28,11 +28,6 @@ MISTAKES = [
     ("lidars", ["--seed", "-1"], "--seed: must be a whole number from"),
     ("lidars", ["--only", "sonar"], "--only sonar: no row is called so; there are native"),
     ("lidars", ["--policy", "nowhere"], "nowhere/policy.safetensors not found"),
-    (
-        "lidars",
-        ["--policy", str(POLICIES / "navigation")],
-        "reads which robot it drives: the lidars here",
-    ),
     ("parity", ["--inputs", "1"], "--inputs: must be a whole number at least 100, got '1'"),
     ("parity", ["--policy", "nowhere"], "nowhere/policy.safetensors not found"),
     ("parity", ["--policy", str(POLICIES / "navigation")], "the human's position alone"),

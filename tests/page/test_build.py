@@ -102,7 +102,7 @@ def test_a_scene_and_a_policy_of_ones_own():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--policy", "nowhere"], "must be a folder, 'nowhere' does not exist"),
+        (["--policy", "nowhere"], "nowhere/policy.safetensors not found: a policy is a folder"),
         (["--scene", "moon"], "moon"),
         (["--seeds", "0"], "must be a whole number from 1 to 1000, got '0'"),
         (["--output", "page.txt"], "--output must end in .html, got 'page.txt'"),

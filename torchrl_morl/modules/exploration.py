@@ -31,7 +31,8 @@ class HeldEGreedyModule(TensorDictModuleBase):
     ``held_steps`` beside the action.
 
     Args:
-        spec: of one action; random actions are ``spec.rand()``.
+        spec: of one action ``[A]``, or of several environments ``[*B, A]`` that all have its bounds;
+            random actions are ``spec.rand()``.
         eps: share of noisy steps, in [0, 1].
         hold: length of a noisy stretch, steps.
 
@@ -41,7 +42,7 @@ class HeldEGreedyModule(TensorDictModuleBase):
             if ``None``.
 
     Raises:
-        ValueError: for ``eps`` outside of [0, 1] or ``hold`` below 1.
+        ValueError: for ``eps`` outside of [0, 1], ``hold`` below 1, or environments whose bounds differ.
 
     Example:
         >>> import torch
@@ -70,7 +71,7 @@ class HeldEGreedyModule(TensorDictModuleBase):
             raise ValueError(f"eps is a share in [0, 1], got {eps}.")
         if hold < 1:
             raise ValueError(f"hold must be at least 1 step, got {hold}.")
-        self.spec = spec
+        self.spec = _of_one(spec)
         self.eps, self.hold = eps, hold
         self.action_key = unravel_key(action_key)
         # Beside the action, so that several agents each hold their own.
@@ -127,3 +128,17 @@ class HeldEGreedyModule(TensorDictModuleBase):
         tensordict.set(self._held_action, held)
         tensordict.set(self._held_steps, (left - 1).clamp_min(0))
         return tensordict
+
+
+def _of_one(spec: TensorSpec) -> TensorSpec:
+    """The spec of one action in that of several environments."""
+    if spec.ndim <= 1:
+        return spec
+    one = spec[(0,) * (spec.ndim - 1)]
+    for end in ("low", "high"):
+        if (getattr(spec.space, end) != getattr(one.space, end)).any():
+            raise ValueError(
+                f"spec has different bounds within its batch dimensions {tuple(spec.shape[:-1])}: "
+                "give each environment a module of its own."
+            )
+    return one

@@ -100,7 +100,7 @@ class MOTD3Loss(PreferenceTD3Loss):
     - ``td_error`` ``[N, *B]``, returned by ``value_loss`` only: squared error, mean over objectives.
 
     Raises:
-        ValueError: for an unknown or inconsistent option, at construction; for rewards, preferences or
+        ValueError: for an unknown or inconsistent option, or environments whose bounds differ, at construction; for rewards, preferences or
             values whose numbers of objectives disagree, at the first call.
 
     Example:
@@ -171,8 +171,14 @@ class MOTD3Loss(PreferenceTD3Loss):
         super().__init__(actor_network, qvalue_network, **td3_kwargs)
         # A spec of several environments repeats their bounds, and data come in any shape.
         for name in ("min_action", "max_action"):
-            rows = getattr(self, name).flatten(0, -2) if getattr(self, name).ndim > 1 else None
-            if rows is not None and (rows == rows[0]).all():
+            bound = getattr(self, name)
+            if bound.ndim > 1:
+                rows = bound.flatten(0, -2)
+                if (rows != rows[0]).any():
+                    raise ValueError(
+                        f"action_spec has different bounds within its batch dimensions "
+                        f"{tuple(bound.shape[:-1])}: give actions as shares of them."
+                    )
                 setattr(self, name, rows[0].clone())
         device = self._default_device
         self.preference_space = preference_space

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
 
@@ -55,6 +56,32 @@ def test_demo_leaves_pictures_and_a_film(policy, tmp_path):
     assert is_png(tmp_path / "trajectories.png") and is_png(tmp_path / "switch.png")
     # Each of the three corners drives for about 40 steps before it hits the human.
     assert 30 < len(imageio.mimread(tmp_path / "sweep.gif")) < 50
+
+
+CORE = Path(film.__file__).parent / "policies" / "core"
+
+
+@needs_gl
+def test_the_demo_of_a_policy_without_preferences_is_one_row(tmp_path):
+    arguments = ("--policy", CORE, "--output", tmp_path, "--episodes", 2, "--steps", 3)
+    result = run("recipes.demo", *arguments)
+    assert result.returncode == 0, result.stderr
+    assert "nan" not in result.stdout and "Spearman" not in result.stdout
+    assert result.stdout.count("does not read the preference") == 1
+    rows = [line for line in result.stdout.splitlines() if " % " in line]
+    assert len(rows) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["drive.gif"]
+
+
+def test_there_is_nothing_to_choose_of_a_policy_without_preferences(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["choices", "--policy", str(CORE)])
+    with pytest.raises(SystemExit):
+        importlib.import_module("recipes.choices.__main__").main()
+    printed = capsys.readouterr()
+    assert printed.out == "" and len(printed.err.splitlines()) == 1
+    assert "does not read the preference" in printed.err
+    assert not list(tmp_path.iterdir())
 
 
 @needs_gl

@@ -12,11 +12,12 @@ from typing import Any
 import pytest
 
 import recipes.evaluate
-from envs import get_robot
+from envs import TURTLEBOT2, get_robot
 from recipes.evaluation.setting import choose, demonstrator, scene_seed, trained_in
 from recipes.results.systems import load_system
 
 SHIPPED = Path(recipes.evaluate.__file__).parent / "policies" / "polished_seed0"
+EXAMPLES = Path(recipes.evaluate.__file__).parents[1] / "examples"
 MISTAKES = [
     ({"config": {"env": {"goal_radius": -1}}}, "config.env.goal_radius must be a number of metres"),
     ({"config": {"env": {"goal_radius": "0.3"}}}, "config.env.goal_radius must be .* got '0.3'"),
@@ -53,6 +54,57 @@ def test_what_cards_say_is_taken():
     driver = demonstrator(card, get_robot("hsr"))
     assert (driver.radius, driver.side, driver.speed) == (1.2, "right", 0.4)
     assert demonstrator({}, get_robot("hsr")) is None
+
+
+ANY = {"config": {"env": {"robot": "any"}}}
+
+
+@pytest.mark.parametrize(
+    "robot", ["turtlebot2", "hsr", EXAMPLES / "my_robot.yaml", {"radius": [0.2, 0.3]}]
+)
+def test_a_robot_within_the_ranges_of_the_training_is_nothing_to_note(robot, capsys):
+    choose(ANY, robot=robot)
+    assert "note" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("robot", "outside"),
+    [
+        ({"radius": 0.5}, "radius 0.5 m (trained: 0.12 to 0.35 m)"),
+        ({"radius": 0.2, "max_speed": 1.5}, "max_speed 1.5 m/s (trained: 0.25 to 1 m/s)"),
+        ({"radius": 0.2, "lidar_range": 2.0}, "lidar_range 2 m (trained: 3 to 10 m)"),
+        (
+            {"radius": 0.2, "lidar_offset": -0.15},
+            "lidar_offset -0.75 of the radius (trained: -0.5 to 0.8 of the radius)",
+        ),
+        ({"radius": [0.1, 0.3]}, "radius 0.1 to 0.3 m (trained: 0.12 to 0.35 m)"),
+        (
+            {"radius": 0.5, "max_speed": 1.5},
+            "radius 0.5 m (trained: 0.12 to 0.35 m), max_speed 1.5 m/s (trained: 0.25 to 1 m/s)",
+        ),
+    ],
+)
+def test_a_robot_outside_of_the_ranges_is_told_which_number_is(robot, outside, capsys):
+    choose(ANY, robot={"name": "mine", **robot})
+    (note,) = [line for line in capsys.readouterr().out.splitlines() if "note" in line]
+    assert note == (
+        f"note: --robot mine is outside of what the policy was trained with: {outside}: this "
+        "measures how well it transfers."
+    )
+
+
+def test_the_robot_that_drives_is_named(capsys):
+    assert choose(ANY, one_robot=True).robot == TURTLEBOT2
+    assert "robot turtlebot2, drive" in capsys.readouterr().out
+    choose(ANY, robot={"name": "mine", "radius": [0.2, 0.3]}, one_robot=True)
+    assert "robot turtlebot2, drive" in capsys.readouterr().out
+    choose(ANY)
+    assert "robot any (another in every episode), drive" in capsys.readouterr().out
+
+
+def test_another_robot_than_the_one_of_the_training_is_noted(capsys):
+    choose({}, robot="hsr")
+    assert "is not what the policy was trained with, turtlebot2" in capsys.readouterr().out
 
 
 def policy_with(tmp_path: Path, **changes: Any) -> Path:

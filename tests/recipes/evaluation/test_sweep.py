@@ -59,7 +59,7 @@ def test_table_has_a_row_per_preference(swept):
     weights = [tuple(map(float, row.split()[:2])) for row in rows]
     assert weights == [(0.0, 1.0), (0.5, 0.5), (1.0, 0.0)]
     for row, solved in zip(rows, swept.metrics["success"].sum(-1).tolist(), strict=True):
-        assert f"s ({solved})" in row
+        assert f"{'s' if solved else '-'} ({solved})" in row
         assert "m (20)" in row
 
 

@@ -191,3 +191,35 @@ def test_refuses_to_resume_in_another_folder(polished, tmp_path):
     with pytest.raises(ValueError, match=r"goes on in its own folder: leave out hydra\.run\.dir"):
         run(tmp_path / "run", start, f"resume={folder}", "collector.total_frames=192")
     assert not (tmp_path / "run").exists()
+
+
+ROOM = "start: [0, 0, 0]\ngoal: [{goal}, 0]\nhuman: [3, 5]\n"
+
+
+def test_goes_on_with_the_scene_and_the_robot_that_it_began_with(polished, tmp_path):
+    start, _ = polished
+    room, robot = tmp_path / "room.yaml", tmp_path / "my robot.yaml"
+    room.write_text(ROOM.format(goal=8))
+    robot.write_text("radius: 0.2\n")
+    files = (f"env.scene={room}", f"env.robot={robot}")
+    folder = run(tmp_path / "run", start, *files, "collector.total_frames=64")
+    room.write_text(ROOM.format(goal=4))  # edited since
+    robot.unlink()  # and moved away
+
+    go_on(folder, "collector.total_frames=128")
+    first, second = (env_of(folder, name) for name in ("000000064", "000000128"))
+    assert first["scene"]["goal"] == [8, 0] and first["scene"]["name"] == "room"
+    assert first["robot"] == {"name": "my robot", "radius": 0.2}
+    assert (second["scene"], second["robot"]) == (first["scene"], first["robot"])
+
+    # Once more, and what is given now counts.
+    go_on(folder, "collector.total_frames=192", f"env.scene={room}")
+    third = env_of(folder, "000000192")
+    assert third["scene"]["goal"] == [4, 0] and third["robot"] == first["robot"]
+    room.unlink()
+    go_on(folder, "collector.total_frames=256")
+    assert env_of(folder, "000000256")["scene"] == third["scene"]
+
+
+def env_of(folder: Path, name: str) -> dict:
+    return load_policy(folder / "policies" / name).card["config"]["env"]

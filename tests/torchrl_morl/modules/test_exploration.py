@@ -88,6 +88,28 @@ def test_random_actions_are_uniform_within_the_spec():
     assert abs(torch.corrcoef(scaled.T)[0, 1]) < 0.05
 
 
+@pytest.mark.parametrize("batch", [(4,), (2, 3)])
+def test_the_spec_of_several_environments_is_that_of_one(batch):
+    low, high = torch.tensor([0.0, -3.0]), torch.tensor([0.5, 3.0])
+    several = Bounded(low.repeat(*batch, 1), high.repeat(*batch, 1))
+    data = TensorDict(action=torch.zeros(*batch, 2), batch_size=batch)
+    with set_exploration_type(ExplorationType.RANDOM):
+        out, expected = (
+            HeldEGreedyModule(spec, 1.0, seed=0)(data.clone())
+            for spec in (several, Bounded(low, high))
+        )
+    assert torch.equal(out["action"], expected["action"])
+    assert out["held_steps"].shape == (*batch, 1)
+    assert out["action"].flatten(0, -2).unique(dim=0).shape[0] == math.prod(batch)
+
+
+def test_environments_with_bounds_of_their_own_are_refused():
+    high = torch.ones(4, 2)
+    high[1] = 2.0
+    with pytest.raises(ValueError, match=r"different bounds within its batch dimensions \(4,\)"):
+        HeldEGreedyModule(Bounded(-torch.ones(4, 2), high), 1.0)
+
+
 def test_eps_zero_is_the_policy_and_eps_one_is_noise_alone():
     assert not noisy(drive(HeldEGreedyModule(SPEC, 0.0, seed=0), 30, 100)).any()
     assert noisy(drive(HeldEGreedyModule(SPEC, 1.0, seed=0), 30, 100)).all()

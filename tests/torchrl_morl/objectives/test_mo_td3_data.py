@@ -10,6 +10,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.data import (
+    Bounded,
     LazyMemmapStorage,
     LazyStackStorage,
     LazyTensorStorage,
@@ -59,6 +60,16 @@ def test_the_spec_of_several_environments_is_that_of_one():
         expected = one(batch.clone())["loss_qvalue"]
         torch.manual_seed(0)
         assert torch.equal(several(batch.clone())["loss_qvalue"], expected)
+
+
+@pytest.mark.parametrize("batch", [(4,), (2, 3)])
+def test_environments_with_bounds_of_their_own_are_refused(batch):
+    high = torch.ones(*batch, *SPEC.shape)
+    high.view(-1, *SPEC.shape)[1] = 2.0
+    spec = Bounded(-torch.ones_like(high), high)
+    data = make_batch(4)
+    with pytest.raises(ValueError, match="action_spec has different bounds within its batch"):
+        loss_for(data, action_spec=spec)
 
 
 def test_a_batch_without_what_came_next_is_named():
