@@ -62,7 +62,7 @@ def typed() -> Iterator[str]:
     """What a person types, up to the end of the input."""
     while True:
         try:
-            yield input(f"  {COMMANDS}: ").strip().lower()
+            yield input("  which do you like better? ").strip().lower()
         except EOFError:
             return
 
@@ -232,6 +232,8 @@ def converse(dialogue: Dialogue, answers: Iterator[str], *, questions: int, show
         show: open the pictures.
     """
     given = 0
+    if questions:
+        print(f"look at each picture of two drives, then type which you like better:\n  {COMMANDS}")
     while given < questions:
         context, question = dialogue.ask()
         picture = dialogue.draw(context, question)
@@ -246,10 +248,11 @@ def converse(dialogue: Dialogue, answers: Iterator[str], *, questions: int, show
                 given -= dialogue.undo()
             elif key == "s":
                 dialogue.skip(context, question)
+                print("  skipped, another one in its place")
             elif key == "q":
                 return
             else:
-                print(f"  {key!r} is no answer")
+                print(f"  {key!r} is no answer: {COMMANDS}")
                 continue
             break
         else:

@@ -122,15 +122,16 @@ class Dialogue:
                 for name, value in zip(names, best.preference.tolist(), strict=True)
             )
             where = f"{context}: " if len(self.drives) > 1 else ""
+            yield f"  {where}your preference so far: {weights}"
             yield (
-                f"  {where}preference {weights}: about {100 * (1 - best.regret):.0f} % of what you could "
-                f"like, likely above {100 * (1 - best.regret_high):.0f} %"
+                f"  it is about {100 * (1 - best.regret):.0f} % of the best there is for you, likely "
+                f"above {100 * (1 - best.regret_high):.0f} %"
             )
         chance = max(self.posterior.chance(context) for context in self.drives)
         if self.posterior.num_answers >= 5 and chance > 0.5:
             yield (
-                f"  with a probability of {100 * chance:.0f} % these answers follow no preference that "
-                "the policy knows: u takes the last one back"
+                f"  these answers may follow no preference (probability {100 * chance:.0f} %): u takes "
+                "the last one back"
             )
 
     def finish(self) -> list[Path]:

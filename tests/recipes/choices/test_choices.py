@@ -109,6 +109,9 @@ def test_three_answers_then_resumed(tmp_path, monkeypatch, capsys, quick):
     run(monkeypatch, "--answers", "1,2,=", "--output", folder)
     printed = capsys.readouterr().out
     assert printed.count("question ") == 4 and "drive so: python -m recipes.evaluate" in printed
+    assert "look at each picture" in printed and "1 left, 2 right" in printed
+    said = [line for line in printed.splitlines() if line.startswith("  ")]
+    assert said[0].strip() == command.COMMANDS and max(map(len, said)) <= 80
     assert is_png(folder / "question_01.png") and is_png(folder / "chosen.png")
     chosen = json.loads((folder / "preference.json").read_text())
     (entry,) = chosen["contexts"].values()
