@@ -233,10 +233,7 @@ def converse(dialogue: Dialogue, answers: Iterator[str], *, questions: int, show
     """
     given = 0
     if questions:
-        print(
-            "look at each picture of two drives, then type which you like better:\n"
-            f"  {COMMANDS}"
-        )
+        print(f"look at each picture of two drives, then type which you like better:\n  {COMMANDS}")
     while given < questions:
         context, question = dialogue.ask()
         picture = dialogue.draw(context, question)
