@@ -65,7 +65,7 @@ class StandardizedLinear(PreciseLinear):
         """Inputs ``[*B, in_features]`` to outputs ``[*B, out_features]``."""
         return super().forward((input - self.loc) / self.scale)
 
-    def folded(self) -> PreciseLinear:
+    def folded(self) -> nn.Linear:
         """A plain layer that computes the same, with weights of its own."""
         plain = PreciseLinear(self.in_features, self.out_features, device=self.weight.device)
         with torch.no_grad():
