@@ -10,13 +10,13 @@ from typing import Any, ClassVar, NamedTuple
 import mujoco
 import numpy as np
 import torch
-from mujoco.batch import Batch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from .actions import refuse_non_finite, refuse_shape
+from .forked import native_batch
 from .limits import check_seed, check_simulations
 from .pixels import PixelsMixin
 from .rendering import Camera
@@ -187,7 +187,7 @@ class BatchedMujocoEnv(PixelsMixin, EnvBase):
 
     def _open_batch(self) -> None:
         """Build the native batch and the live views of its state."""
-        self.batch = Batch(self.model, self.num_envs, self.num_threads)
+        self.batch = native_batch(self.model, self.num_envs, self.num_threads)
         self._view = {
             name: torch.from_numpy(self.batch.bind(name))
             for name in (*self._snapshot_fields, "ctrl", "mocap_pos", "mocap_quat")

@@ -15,7 +15,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("torchrl_morl", "envs", "recipes", "benchmarks")
 RECIPES = {f"recipes.{name}" for name in ("pd_morl", "mo_ppo", "drex", "scalarized", "benchmark")}
 SHARED = {
-    f"recipes.{name}" for name in ("training", "evaluation", "objectives", "arguments", "outputs")
+    f"recipes.{name}"
+    for name in ("training", "evaluation", "objectives", "arguments", "outputs", "policy_folders")
 }
 MOST_LINES = 400
 NAMED_TUPLE = {"_replace", "_asdict", "_make"}

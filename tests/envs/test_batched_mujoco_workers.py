@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import gc
 import math
+import multiprocessing
 import pickle
 
 import pytest
@@ -97,6 +99,27 @@ def test_pickling_continues_bit_for_bit(drive):
     assert_same(*pair)
     # The next scenes are the same too: the generators travelled along.
     assert_same([env.reset()], [copy.reset()])
+
+
+def test_a_forked_process_may_collect_what_its_parent_left():
+    class Garbage:
+        """In a cycle: only the garbage collector ends it."""
+
+    gc.collect()
+    gc.disable()
+    try:
+        left = Garbage()
+        left.itself, left.env = left, make_env(num_envs=4, num_threads=2)
+        left.env.rollout(2)
+        del left
+        child = multiprocessing.get_context("fork").Process(target=gc.collect)
+        child.start()
+        child.join(60)
+        ended = child.exitcode
+        child.kill()
+    finally:
+        gc.enable()
+    assert ended == 0
 
 
 def test_serial_and_parallel_workers_agree():

@@ -162,7 +162,7 @@ def test_a_policy_commands_within_the_robot_s_limits():
         policy.act(robot=[0.2, speed, 2.0, 6.28, 4.0, 0.0], **inputs) for speed in (0.3, 0.6)
     )
     assert 0 < slow[0] < 0.3 and abs(slow[1]) < 2.0 and not np.allclose(slow, fast)
-    with pytest.raises(ValueError, match="give robot=, radius, top speed"):
+    with pytest.raises(ValueError, match="give robot=, its radius"):
         policy.act(**inputs)
     with pytest.raises(ValueError, match="limits, view and range above 0"):
         policy.act(robot=[0.2, 0.0, 2.0, 6.28, 4.0, 0.0], **inputs)

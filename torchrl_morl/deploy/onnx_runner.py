@@ -31,10 +31,7 @@ FORMAT = 1
 TOLERANCE = 1e-4  # how far the sum of a preference may be from one
 FASTEST_HUMAN = 3.0  # m/s; two positions further apart are not those of one person
 FORGET_HUMAN = 5  # periods after which a human who comes back is seen for the first time
-JUMP = (
-    0.1,
-    0.2,
-)  # m and rad beyond twice the limits, in a step: odometry that moved, not the robot
+JUMP = 0.1, 0.2  # m and rad, beyond twice the limits, from which on odometry has jumped
 NUM_COMMANDS = 4  # last commands that a policy may read; after as many periods without any it stood
 
 
@@ -77,8 +74,7 @@ class Runner(abc.ABC):
         self.timeout = _positive("timeout", timeout, period)
         self.max_speed = _positive("max_speed", max_speed, fastest["speed"])
         self.max_turn_rate = _positive("max_turn_rate", max_turn_rate, fastest["turn_rate"])
-        # Not max_speed: that of the commands says nothing of how fast it rolls.
-        self._fastest = (fastest["speed"], fastest["turn_rate"])
+        self._fastest = fastest["speed"], fastest["turn_rate"]  # max_speed is of commands alone
         self._time: float | None = None
         self._human: tuple[float, float, float] | None = None
         self._velocity = (0.0, 0.0)
@@ -115,9 +111,7 @@ class Runner(abc.ABC):
             odometry: instead of ``human_velocity``: where the robot is in any fixed frame, x and y
                 (m) and heading (rad). The velocity is then that between two positions of the human;
                 at first sight it is 0. Needed by policies that read how the robot moves: that is what
-                changed since the last step, and what was commanded then. The frame must not jump, as
-                a map does where the robot is localised anew: what is further than the robot can have
-                moved is taken for first sight.
+                changed since the last step, and what was commanded then. The frame must not jump.
         """
         last, self._time = self._time, time if _is_number(time) else self._time
         if not _is_number(time) or not _is_number(stamp):
@@ -138,7 +132,7 @@ class Runner(abc.ABC):
         try:
             scan, has_valid_beam = self._scan(ranges)
             inputs = {"goal": _polar("goal", goal), "human": None, "human_velocity": None}
-            tracked = human is not None and human_velocity is None and odometry is not None
+            tracked = odometry is not None and human is not None and human_velocity is None
             if self.reads_motion or tracked:
                 self._moved(odometry, stamp)
             if human is not None:
@@ -149,8 +143,7 @@ class Runner(abc.ABC):
                     human_velocity = self._velocity_of(human, odometry, stamp)
                 inputs["human_velocity"] = human_velocity
             if self.reads_motion:
-                commanded = (value for command in self._commands for value in command)
-                inputs["motion"] = (*self._measured, *commanded)
+                inputs["motion"] = (*self._measured, *(v for told in self._commands for v in told))
             inputs["preference"] = preference
             speed, turn_rate = self._command(scan, inputs)
         except Exception as error:
@@ -189,16 +182,12 @@ class Runner(abc.ABC):
             self._measured = (0.0, 0.0)
             self._commands.extend([(0.0, 0.0)] * NUM_COMMANDS)
         elif since > 0:
-            way = x - last[1], y - last[2]
-            turned = math.remainder(heading - last[3], 2 * math.pi)
-            moved = math.hypot(*way), abs(turned)
-            if all(
-                one <= 2 * fastest * since + slack
-                for one, fastest, slack in zip(moved, self._fastest, JUMP)
-            ):
-                ahead = math.cos(heading) * way[0] + math.sin(heading) * way[1]
-                self._measured = ahead / since, turned / since
-            else:
+            east, north = x - last[1], y - last[2]
+            turned = math.remainder(heading - last[3], math.tau)
+            ahead = math.cos(heading) * east + math.sin(heading) * north
+            self._measured = ahead / since, turned / since
+            furthest, most = (2 * one * since + more for one, more in zip(self._fastest, JUMP))
+            if math.hypot(east, north) > furthest or abs(turned) > most:
                 self._measured, self._human = (0.0, 0.0), None
 
     def _velocity_of(
